@@ -2,7 +2,7 @@
 //!
 //! - [`attempts`]: what the attempts at a job's tasks took.
 //! - [`light`]: files of light statistics, what stands out in them, and the tables of their paths.
-//! - [`bench`]: run time against error.
+//! - [`mod@bench`]: run time against error.
 //! - [`sweep`]: the tables of a sweep's frames and variants.
 //! - [`pages`]: HTML files with their figures inside.
 //! - [`human`]: numbers and tables for people.

@@ -293,6 +293,21 @@ impl<'a> Directions<'a> {
     /// - `choice`, `u`: numbers in [0, 1).
     #[inline]
     pub fn sample(&self, choice: f32, u: [f32; 2]) -> Vec3A {
+        self.of_lobe(self.pick(choice).0, u)
+    }
+
+    /// A direction by two numbers alone, of which the first chooses the lobe, too: points that are spread evenly over the square are
+    /// spread evenly over each lobe.
+    /// - `u`: in [0, 1)^2.
+    #[inline]
+    pub fn sample_evenly(&self, u: [f32; 2]) -> Vec3A {
+        let (at, rest) = self.pick(u[0]);
+        self.of_lobe(at, [rest, u[1]])
+    }
+
+    /// The lobe that a number in [0, 1) chooses, and where in that lobe's part it lies, in [0, 1).
+    #[inline]
+    fn pick(&self, choice: f32) -> (usize, f32) {
         let share = |k: usize| self.block.shares[k] * self.weights[k];
         let (mut at, mut left) = (0, choice);
         while at + 1 < LOBES && left >= share(at) {
@@ -303,6 +318,11 @@ impl<'a> Directions<'a> {
         while at > 0 && share(at) <= 0.0 {
             at -= 1;
         }
+        (at, (left / share(at)).clamp(0.0, 1.0 - f32::EPSILON / 2.0))
+    }
+
+    #[inline]
+    fn of_lobe(&self, at: usize, u: [f32; 2]) -> Vec3A {
         let radius = (1.0 / (1.0 - u[0]).sqrt() - 1.0).max(0.0).sqrt();
         let (sin, cos) = sin_cos(2.0 * PI * u[1]);
         let axis = |of: &[[f32; LOBES]; 3]| Vec3A::new(of[0][at], of[1][at], of[2][at]);
@@ -347,7 +367,7 @@ mod tests {
             let [row, column] = [(dir.z + 1.0) * 4.0, turn * 12.0].map(|at| at as usize);
             row.min(7) * 12 + column.min(11)
         };
-        let (mut wanted, mut got) = (vec![0.0f64; 96], vec![0.0f64; 96]);
+        let [mut wanted, mut got, mut evenly] = [(); 3].map(|()| vec![0.0f64; 96]);
         for z in 0..4000 {
             for turn in 0..960 {
                 let dir = warp::direction((z as f32 + 0.5) / 2000.0 - 1.0, (turn as f32 + 0.5) / 960.0);
@@ -363,18 +383,18 @@ mod tests {
         for _ in 0..N {
             let choice = number();
             got[bin(directions.sample(choice, [number(), number()]))] += 1.0;
+            evenly[bin(directions.sample_evenly([number(), number()]))] += 1.0;
         }
         let total: f64 = wanted.iter().sum();
         assert!((total - 1.0).abs() < 1e-2, "{total}");
-        let chi: f64 = wanted
-            .iter()
-            .zip(&got)
-            .map(|(want, got)| {
+        for got in [got, evenly] {
+            let square = |(want, got): (&f64, &f64)| {
                 let want = want / total * N as f64;
                 (got - want).powi(2) / want.max(1.0)
-            })
-            .sum();
-        assert!(chi < 161.0, "{chi}");
+            };
+            let chi: f64 = wanted.iter().zip(&got).map(square).sum();
+            assert!(chi < 161.0, "{chi}");
+        }
     }
 
     #[test]

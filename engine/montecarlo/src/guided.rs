@@ -58,6 +58,11 @@ impl<'a> Scattering<'a> {
         self
     }
 
+    /// Whether a guide draws a share of the directions.
+    pub fn is_guided(&self) -> bool {
+        self.guide.is_some()
+    }
+
     /// Density of [`Self::sample`], 1/sr, deltas excluded.
     /// - `wi`, `dir`: unit, in the local frame and in the world's.
     #[inline]
@@ -69,22 +74,23 @@ impl<'a> Scattering<'a> {
         }
     }
 
-    /// Draws a direction from `u` in [0, 1)^2; `choice` in [0, 1) picks who draws it, and the lobe. `None`: the light is absorbed.
+    /// Draws a direction from `u` in [0, 1)^2, whose first number picks who draws it, too, so that points which are spread evenly stay so for
+    /// the guide's lobes and for the BSDF; `choice` in [0, 1) picks a lobe of the BSDF. `None`: the light is absorbed.
     #[inline]
     pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<Drawn> {
         let Some((directions, share)) = &self.guide else {
             let sample = self.bsdf.sample(self.wo, u, choice)?;
             return Some(Drawn { sample, often: 1.0, by_guide: false });
         };
-        let by_guide = choice < *share;
+        let by_guide = u[0] < *share;
         let mut drawn = if by_guide {
-            let wi = self.frame.to_local(directions.sample(choice / share, u));
+            let wi = self.frame.to_local(directions.sample_evenly([u[0] / share, u[1]]));
             let transmitted = if wi.z * self.wo.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
             BsdfSample { wi, weight: Rgb::ZERO, pdf: 0.0, lobe: LobeKind::Diffuse, transmitted, eta: 1.0 }
         } else {
             // Below 1 by rounding.
-            let rest = ((choice - share) / (1.0 - share)).min(1.0 - f32::EPSILON / 2.0);
-            self.bsdf.sample(self.wo, u, rest)?
+            let rest = ((u[0] - share) / (1.0 - share)).min(1.0 - f32::EPSILON / 2.0);
+            self.bsdf.sample(self.wo, [rest, u[1]], choice)?
         };
         if drawn.lobe == LobeKind::Delta {
             drawn.weight /= 1.0 - share;

@@ -58,6 +58,8 @@ pub struct Counters {
     pub shadow_rays: u64,
     /// Path segments.
     pub segments: u64,
+    /// Vertices at which a guide draws a share of the directions.
+    pub guided: u64,
 }
 
 /// The result of one camera sample.
@@ -450,6 +452,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let mut scattering = Scattering::new(&bsdf, &frame, wo);
             if let Some(field) = self.guide {
                 scattering = scattering.guided(field, (&hit, &point, back));
+                self.counters.guided += u64::from(scattering.is_guided());
             }
             let ahead = luminance(throughput * scattering.ahead);
             let is_known = ahead > 0.0 && ahead.is_finite();

@@ -2,8 +2,9 @@
 //!
 //! A pilot traces some paths of the job's first frame, which count in no image, and says two things: how much work the frame is, and how
 //! much of the samples' variance is in light that guides could find. Guides act where a path leaves a diffuse surface, so they can
-//! lessen the noise of light that was found after that, and of no other. Work is counted in rays, not in seconds: the choice
-//! depends on the job, not on the machine.
+//! lessen the noise of light that was found after that, and of no other. Where a first pass would be a small part of the work and much of
+//! the noise is in such light, it is solved, and the same samples are drawn with its guides: they tell what is gained. Work
+//! is counted in rays, not in seconds: the choice depends on the job, not on the machine.
 
 use crate::first_pass::first_pass_key;
 use crate::first_pass_steps::{first_pass_blocks, surfaces};
@@ -12,16 +13,17 @@ use crate::plan::Plan;
 use crate::render::{RenderError, frame_key, prepare, render_rows};
 use crate::settings::{Method, Settings, Stop};
 use femc_film::Rect;
+use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_montecarlo::record::{Contribution, Found, Hears, Leaving, Recorder, Scatterer, Vertex};
-use femc_prepared::{PrepareError, Source};
+use femc_prepared::{PrepareError, Prepared, Source};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Samples of each of a pilot's pixels that tell where variance comes from.
-const SAMPLES: u32 = 16;
+const SAMPLES: u32 = 32;
 /// Rounds after which the samples that an error takes are extrapolated, and the samples by then.
 const ROUNDS: u32 = 3;
 const ROUNDS_SAMPLES: u32 = 16;
@@ -33,8 +35,13 @@ const FEWEST: f64 = 128.0;
 /// Work of a first pass, in rays of paths that take as long: at least, and for each surface.
 const LEAST_RAYS: f64 = 7e6;
 const RAYS_OF_SURFACE: f64 = 1.5e3;
-/// A first pass is worth it where it takes at most this share of the work of path tracing.
-const WORTH: f64 = 0.05;
+/// A first pass is tried where it takes at most this share of the work of path tracing: it is solved twice, then.
+const WORTH: f64 = 0.04;
+/// A pilot draws few samples; of many, which are spread more evenly, path tracing makes more than guides do. So it has to show that all work
+/// together is at most this share of path tracing's.
+const GAINED: f64 = 0.8;
+/// A vertex at which guides draw directions takes as long as so many rays of a scene whose rays are quick.
+const GUIDED_RAYS: f64 = 1.0;
 /// Least ratio of the samples' variance to that of the light which no guide can help.
 const BOUND: f64 = 1.5;
 
@@ -54,12 +61,14 @@ pub struct Choice {
 pub struct Pilot {
     /// Samples that were drawn.
     pub samples: u64,
-    /// Rays of a sample, mean.
+    /// Work of a sample of path tracing, in rays.
     pub rays_a_sample: f64,
     /// Samples a pixel that the frame is likely to take.
     pub samples_a_pixel: f64,
     /// Variance of the samples over that of the light in them which no guide can help: what guides gain at most.
     pub most_gain: f64,
+    /// Variance times work of the samples over the same of guided ones; `None`: a first pass was not tried.
+    pub gain: Option<f64>,
     /// Rays of all frames by path tracing.
     pub rays: f64,
     /// Work of the first passes that the frames share, in such rays.
@@ -92,22 +101,48 @@ pub fn choose(source: &Source, settings: &Settings, plan: &Plan) -> Result<Choic
 }
 
 impl Pilot {
+    /// Work of the first passes, as a share of path tracing's.
+    fn share(&self) -> f64 {
+        self.first_pass_rays / self.rays
+    }
+
+    /// Whether guides could gain enough for a first pass to be tried.
+    fn is_promising(&self) -> bool {
+        self.most_gain >= BOUND && self.share() <= WORTH
+    }
+
     /// The method, and what decides.
     fn choice(&self) -> (Method, String) {
-        let work = 100.0 * self.first_pass_rays / self.rays;
+        let work = 100.0 * self.share();
         let bounced = 100.0 * (1.0 - 1.0 / self.most_gain);
-        let noise = format!("light that has left a diffuse surface makes {bounced:.0} % of the noise");
-        if self.most_gain < BOUND {
-            (Method::Pt, format!("{noise}, and no guide could lessen the rest"))
-        } else if work > 100.0 * WORTH {
-            (Method::Pt, format!("a first pass takes about {work:.0} % of the work of path tracing, which is too much"))
-        } else {
-            (Method::Femc, format!("{noise}, and a first pass takes about {work:.1} % of the work of path tracing"))
+        match self.gain {
+            None if self.most_gain < BOUND => (
+                Method::Pt,
+                format!(
+                    "light that has left a diffuse surface makes {bounced:.0} % of the noise, and no guide could lessen the rest"
+                ),
+            ),
+            None => (
+                Method::Pt,
+                format!("a first pass takes about {work:.0} % of the work of path tracing, which is too much"),
+            ),
+            Some(gain) => {
+                let is_worth = self.share() + 1.0 / gain < GAINED;
+                let method = if is_worth { Method::Femc } else { Method::Pt };
+                let verdict = if is_worth { "" } else { ", which is not enough" };
+                (
+                    method,
+                    format!(
+                        "a first pass takes about {work:.1} % of the work of path tracing, and by a pilot samples that it guides \
+                         have 1 / {gain:.2} of the variance for their work{verdict}"
+                    ),
+                )
+            }
         }
     }
 }
 
-/// Traces some paths of the first frame; `None`: the job is too small for that.
+/// Traces some paths of the first frame, and the same with guides where that may pay; `None`: the job is too small for that.
 pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option<Pilot>, ChoiceError> {
     let settings = Settings { method: Method::Pt, statistics: false, ..settings.clone() };
     let Some(&frame) = plan.frames.first() else { return Ok(None) };
@@ -121,15 +156,9 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
         return Ok(None);
     }
     let film = [plan.tiling.width, plan.tiling.height];
-    let [width, height] = pilot::film_of(film, pixels.min(pilot::PIXELS));
-    let settings = Settings { size: Some([width, height]), ..settings };
+    let settings = Settings { size: Some(pilot::film_of(film, pixels.min(pilot::PIXELS))), ..settings };
     let prepared = prepare(source, &settings, frame, None)?;
-    let whole = Rect { x: 0, y: 0, width, height };
-    let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let (rendered, splits) =
-        render_rows(&prepared, &settings, whole, 0..SAMPLES, &never, &progress, PixelNoise::default)?;
-    let samples = whole.area() * u64::from(SAMPLES);
-    let rays_a_sample = (rendered.rays + rendered.shadow_rays) as f64 / samples as f64;
+    let paths = Drawn::of(&prepared, &settings)?;
     let samples_a_pixel = match settings.stop {
         Stop::Spp(spp) => f64::from(spp),
         Stop::Error(_) | Stop::Time(_) => {
@@ -138,11 +167,100 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
             pilot::likely_samples(&prepared, &settings, is_over)?.unwrap_or(0.0)
         }
     };
-    let rays = rays_a_sample * samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
+    let rays = paths.work * samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
     let surfaces = surfaces(source.scene()) as f64;
     let first_pass_rays = (LEAST_RAYS + RAYS_OF_SURFACE * surfaces) * solutions(source, &settings, plan)? as f64;
-    let most_gain = most_gain(&splits.into_iter().flat_map(PixelNoise::into_pixels).collect::<Vec<_>>());
-    Ok(Some(Pilot { samples, rays_a_sample, samples_a_pixel, most_gain, rays, first_pass_rays }))
+    let mut found = Pilot {
+        samples: paths.samples,
+        rays_a_sample: paths.work,
+        samples_a_pixel,
+        most_gain: paths.most_gain(),
+        gain: None,
+        rays,
+        first_pass_rays,
+    };
+    if found.is_promising() {
+        // Now that more is known of the work, more pixels are worth it.
+        let all = samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
+        let pixels = (SHARE * all / f64::from(2 * SAMPLES)).clamp(FEWEST, pilot::PIXELS);
+        let settings = Settings { size: Some(pilot::film_of(film, pixels)), ..settings };
+        let prepared = prepare(source, &settings, frame, Some(&prepared))?;
+        let paths = Drawn::of(&prepared, &settings)?;
+        let settings = Settings { method: Method::Femc, ..settings };
+        let guided = Drawn::of(&prepare(source, &settings, frame, Some(&prepared))?, &settings)?;
+        found.samples += paths.samples + guided.samples;
+        found.gain = Some(paths.gain(&guided));
+    }
+    Ok(Some(found))
+}
+
+/// Samples of a pilot.
+struct Drawn {
+    samples: u64,
+    /// Rays of a sample, mean, and what else takes as long.
+    work: f64,
+    film: [u32; 2],
+    /// By row and column.
+    pixels: Vec<PixelSums>,
+}
+
+impl Drawn {
+    /// Of all pixels of a frame.
+    fn of(prepared: &Prepared, settings: &Settings) -> Result<Self, RenderError> {
+        let [width, height] = prepared.camera.film;
+        let whole = Rect { x: 0, y: 0, width, height };
+        let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        let (rendered, noise) =
+            render_rows(prepared, settings, whole, 0..SAMPLES, &never, &progress, PixelNoise::default)?;
+        let samples = whole.area() * u64::from(SAMPLES);
+        let rays = (rendered.rays + rendered.shadow_rays) as f64 + GUIDED_RAYS * rendered.guided as f64;
+        let pixels = noise.into_iter().flat_map(PixelNoise::into_pixels).collect();
+        Ok(Self { samples, work: rays / samples as f64, film: [width, height], pixels })
+    }
+
+    /// Variance of a sample over the pixel's squared mean, of all light over that of the rest.
+    fn most_gain(&self) -> f64 {
+        let weights = weights(&[self]);
+        let sum =
+            |part: fn(&PixelSums) -> f64| self.pixels.iter().zip(&weights).map(|(it, w)| part(it) * w).sum::<f64>();
+        let (all, rest) = (sum(PixelSums::variance), sum(PixelSums::variance_of_rest));
+        if all <= rest { 1.0 } else { (all / rest.max(1e-6 * all)).max(1.0) }
+    }
+
+    /// Variance times work, over that of guided samples of the same pixels.
+    fn gain(&self, guided: &Self) -> f64 {
+        let weights = weights(&[self, guided]);
+        let sum = |of: &Self| of.pixels.iter().zip(&weights).map(|(it, w)| it.variance() * w).sum::<f64>() * of.work;
+        let (paths, guided) = (sum(self), sum(guided));
+        if guided > 0.0 { paths / guided } else { 1.0 }
+    }
+}
+
+/// Edge of the blocks whose means weigh their pixels, pixels.
+const BLOCK: u32 = 8;
+
+/// By pixel 1 over the squared mean of all samples of its block; a dark block has the weight of one of a tenth of the frame's mean. A pixel's
+/// own samples would say that a pixel of one bright sample is a bright pixel, and hide its variance.
+fn weights(all: &[&Drawn]) -> Vec<f64> {
+    let Some([width, height]) = all.first().map(|drawn| drawn.film) else { return Vec::new() };
+    let (across, down) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
+    let block = |at: usize| {
+        let at = at as u32;
+        (at / width / BLOCK * across + at % width / BLOCK) as usize
+    };
+    let mut sums = vec![[0.0; 2]; (across * down) as usize];
+    for (at, pixel) in all.iter().flat_map(|drawn| drawn.pixels.iter().enumerate()) {
+        let [sum, count] = &mut sums[block(at)];
+        *sum += pixel.all.iter().sum::<f64>();
+        *count += pixel.counts.iter().sum::<f64>();
+    }
+    let floor = sums.iter().map(|[sum, _]| sum).sum::<f64>() / sums.iter().map(|[_, count]| count).sum::<f64>();
+    let weight = |at| {
+        let [sum, count] = sums[block(at)];
+        let weight = 1.0 / ((sum / count).powi(2) + 0.01 * floor * floor);
+        if weight.is_finite() { weight } else { 0.0 }
+    };
+    (0..all[0].pixels.len()).map(weight).collect()
 }
 
 /// Solutions of the first pass that the frames share.
@@ -153,39 +271,37 @@ fn solutions(source: &Source, settings: &Settings, plan: &Plan) -> Result<usize,
     Ok(keys?.len())
 }
 
-/// Sums of a pixel's samples: luminance and its square, of all light and of the light that no guide can help.
+/// Sums of the luminance of a pixel's samples, by half: of all light and of the light that no guide can help.
 #[derive(Clone, Copy, Debug, Default)]
 struct PixelSums {
-    count: f64,
+    counts: [f64; 2],
     all: [f64; 2],
     rest: [f64; 2],
 }
 
 impl PixelSums {
-    fn variance(&self, [sum, squares]: [f64; 2]) -> f64 {
-        (squares - sum * sum / self.count).max(0.0) / (self.count - 1.0).max(1.0)
+    fn variance(&self) -> f64 {
+        self.of_mean(self.all)
     }
-}
 
-/// Variance of a sample over the pixel's squared mean, of all light over that of the rest.
-fn most_gain(pixels: &[PixelSums]) -> f64 {
-    let mean = |pixel: &PixelSums| pixel.all[0] / pixel.count;
-    let floor = pixels.iter().map(mean).sum::<f64>() / pixels.len().max(1) as f64;
-    let (mut all, mut rest) = (0.0, 0.0);
-    for pixel in pixels {
-        let weight = 1.0 / (mean(pixel).powi(2) + 0.01 * floor * floor);
-        if weight.is_finite() {
-            all += pixel.variance(pixel.all) * weight;
-            rest += pixel.variance(pixel.rest) * weight;
-        }
+    fn variance_of_rest(&self) -> f64 {
+        self.of_mean(self.rest)
     }
-    if all <= rest { 1.0 } else { (all / rest.max(1e-6 * all)).max(1.0) }
+
+    /// Of the mean, by its halves, which are independent: samples of one half are spread evenly, and by how much that helps depends on how
+    /// their directions are drawn. Times the samples.
+    fn of_mean(&self, sums: [f64; 2]) -> f64 {
+        let [a, b] = [0, 1].map(|half| sums[half] / self.counts[half]);
+        let variance = self.counts.iter().sum::<f64>() * (0.5 * (a - b)).powi(2);
+        if variance.is_finite() { variance } else { 0.0 }
+    }
 }
 
 /// Hears by pixel how much of the samples' light came by way of a diffuse surface.
 #[derive(Debug, Default)]
 struct PixelNoise {
     pixel: Option<u32>,
+    half: usize,
     now: PixelSums,
     done: Vec<PixelSums>,
     /// Times that the path has left a diffuse surface, and luminance that a guide could have found.
@@ -195,7 +311,7 @@ struct PixelNoise {
 
 impl PixelNoise {
     fn into_pixels(mut self) -> Vec<PixelSums> {
-        if self.now.count > 0.0 {
+        if self.now.counts != [0.0; 2] {
             self.done.push(self.now);
         }
         self.done
@@ -203,8 +319,11 @@ impl PixelNoise {
 }
 
 impl Recorder for PixelNoise {
-    fn begin(&mut self, pixel: u32, _: u32) -> Hears {
-        if self.pixel != Some(pixel) && self.now.count > 0.0 {
+    const HIDDEN: bool = false;
+
+    fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
+        self.half = sample as usize % 2;
+        if self.pixel != Some(pixel) && self.now.counts != [0.0; 2] {
             self.done.push(std::mem::take(&mut self.now));
         }
         self.pixel = Some(pixel);
@@ -218,7 +337,7 @@ impl Recorder for PixelNoise {
         self.scattered += u32::from(matches!(way, Leaving::Scattered { by: Scatterer::Diffuse, .. }));
     }
 
-    fn hidden(&mut self, _: impl FnOnce() -> femc_geometry::Ray) {}
+    fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
 
     fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
         let contribution = contribution();
@@ -233,12 +352,9 @@ impl Recorder for PixelNoise {
 
     fn end(&mut self, color: Option<Rgb>) {
         let Some(all) = color.map(|color| f64::from(luminance(color))) else { return };
-        let rest = all - self.guidable;
-        self.now.count += 1.0;
-        for (sums, value) in [(&mut self.now.all, all), (&mut self.now.rest, rest)] {
-            sums[0] += value;
-            sums[1] += value * value;
-        }
+        self.now.counts[self.half] += 1.0;
+        self.now.all[self.half] += all;
+        self.now.rest[self.half] += all - self.guidable;
     }
 }
 
@@ -263,7 +379,8 @@ mod tests {
         let source = source("door-ajar");
         let large = chosen(&source, [320, 240], Stop::Spp(1024));
         assert_eq!(large.method, Method::Femc, "{large:?}");
-        assert!(large.reason.contains("of the noise") && large.pilot.is_some_and(|pilot| pilot.most_gain > 4.0));
+        let found = large.pilot.expect("a pilot");
+        assert!(found.most_gain > 4.0 && found.gain.is_some_and(|gain| gain > 1.2), "{large:?}");
         assert_eq!(chosen(&source, [320, 240], Stop::Spp(1024)), large, "a fact of the job");
         let few = chosen(&source, [320, 240], Stop::Spp(16));
         assert_eq!((few.method, few.pilot.is_some()), (Method::Pt, true), "{few:?}");
@@ -276,7 +393,7 @@ mod tests {
     #[test]
     fn an_error_is_worth_as_much_as_the_samples_that_it_takes() {
         let source = source("door-ajar");
-        let [coarse, fine] = [0.5, 0.005].map(|error| chosen(&source, [128, 96], Stop::Error(error)));
+        let [coarse, fine] = [0.5, 0.005].map(|error| chosen(&source, [160, 120], Stop::Error(error)));
         let spp = |choice: &Choice| choice.pilot.expect("a pilot").samples_a_pixel;
         assert!(spp(&fine) > 100.0 * spp(&coarse), "{coarse:?} {fine:?}");
         assert_eq!((coarse.method, fine.method), (Method::Pt, Method::Femc));
@@ -294,6 +411,6 @@ mod tests {
         let scene = femc_import::load_path(&path).expect("a scene").scene;
         let choice = chosen(&Source::new(Arc::new(scene)), [512, 512], Stop::Spp(4096));
         let pilot = choice.pilot.expect("a pilot");
-        assert_eq!((choice.method, pilot.most_gain), (Method::Pt, 1.0), "{choice:?}");
+        assert_eq!((choice.method, pilot.most_gain, pilot.gain), (Method::Pt, 1.0, None), "{choice:?}");
     }
 }

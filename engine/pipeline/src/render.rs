@@ -57,6 +57,8 @@ pub struct RenderedTile {
     pub rays: u64,
     /// Shadow rays.
     pub shadow_rays: u64,
+    /// Vertices at which a first pass has drawn a share of the directions.
+    pub guided: u64,
 }
 
 /// Why a tile was not rendered.
@@ -128,18 +130,19 @@ pub fn render_rows<R: Recorder + Send>(
         },
     );
     let runs: Vec<Result<Run<'_, R>, RenderError>> = rows.collect();
-    let (mut tiles, mut rays, mut shadow_rays) = (Vec::with_capacity(rect.height as usize), 0, 0);
+    let (mut tiles, mut rays, mut shadow_rays, mut guided) = (Vec::with_capacity(rect.height as usize), 0, 0, 0);
     let mut recorders = Vec::with_capacity(runs.len());
     for run in runs {
         let (strips, tracer) = run?;
         tiles.extend(strips);
         rays += tracer.counters.rays;
         shadow_rays += tracer.counters.shadow_rays;
+        guided += tracer.counters.guided;
         recorders.push(tracer.recorder);
     }
     let mut tile = Tile::from_strips(rect, samples, tiles)?;
     tile.charge(rays + shadow_rays);
-    Ok((RenderedTile { tile, rays, shadow_rays }, recorders))
+    Ok((RenderedTile { tile, rays, shadow_rays, guided }, recorders))
 }
 
 /// A sample as the film takes it.

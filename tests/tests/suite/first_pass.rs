@@ -10,6 +10,7 @@ use femc_pipeline::{
     Field, Method, Settings, Side, Solution, Source, Stop, encode_solution, first_pass, first_pass_key,
     first_pass_world, frame_key, light, prepare, prepare_world,
 };
+use femc_tests::furnished::{Kind, furnished};
 use femc_tests::reference::{Reference, rooms};
 use femc_tests::{render, scene};
 use std::f64::consts::PI;
@@ -415,4 +416,22 @@ fn what_breaks_finite_elements_ends_all_the_same() {
         let solution = solve(&text);
         assert!(solution.field.fog.mean_radiance(Vec3A::splat(0.5)) == Vec3A::ZERO);
     }
+}
+
+/// Where links have little memory they are few and coarse; rays correct what they bring, so the light of a room is about the same.
+#[test]
+fn links_that_have_little_memory_are_few_and_bring_about_the_same_light() {
+    let (text, _) = furnished(Kind::Room, 3000);
+    let prepared = prepare(&Source::new(scene(&text)), &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
+    let solve = |memory| {
+        let options = Options { error: 1.0, memory, ..Options::default() };
+        radiosity::solve(&prepared, &options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}"))
+    };
+    let [free, bound] = [1 << 30, 1 << 20].map(solve);
+    let links = [&free, &bound].map(|solution| solution.report.links);
+    assert!(2 * links[1] < links[0], "{links:?}");
+    assert!(bound.report.refused > 0, "{:?}", bound.report);
+    let [free, bound] = [&free, &bound].map(|solution| irradiances(solution, Side::Front)[1]);
+    println!("{links:?} links, {free} and {bound} lx");
+    assert!((bound / free - 1.0).abs() < 0.15, "{free} and {bound} lx by {links:?} links");
 }

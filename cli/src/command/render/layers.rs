@@ -15,6 +15,9 @@ pub fn show(
     curve: Option<ToneCurve>,
     exposure: Exposure,
 ) -> Result<Vec<PathBuf>, Failure> {
+    if layers.is_empty() {
+        return Ok(Vec::new());
+    }
     let file = layers_of(frame);
     let curve = match curve {
         Some(curve) => curve,

@@ -43,7 +43,7 @@ pub struct SettingsArgs {
     /// same pixels once more.
     #[arg(long, value_name = "DURATION", group = "stop")]
     pub time: Option<Budget>,
-    /// Path tracing alone, the two-pass method, or the plan's choice [default: auto]
+    /// Path tracing alone, the first pass alone, both, or what a pilot finds faster [default: auto]
     #[arg(long, value_enum)]
     pub method: Option<Method>,
     /// Longest path in segments, the one from the camera counting 1; 0: unbounded [default: 0]

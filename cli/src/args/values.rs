@@ -5,7 +5,7 @@ use serde::Deserialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// The plan's choice; so far path tracing alone.
+    /// A pilot's choice between `pt` and `femc`.
     Auto,
     /// Path tracing alone.
     Pt,

@@ -720,7 +720,11 @@ pub(crate) mod tests {
         {
             let line = queue.line();
             assert!(line.keeps.is_empty(), "what was answered is not written any more");
-            assert!(line.there.is_empty() && line.forgets.len() <= 1, "what may be on the disk goes: {line:?}");
+            // The first is on the disk, and the second, if the writer was quick enough to take it before it was answered.
+            assert!(
+                line.there.is_empty() && line.forgets.len() <= tasks.len(),
+                "what may be on the disk goes: {line:?}"
+            );
         }
         let many = task(3, b"third").await;
         queue.line().keeps = std::iter::repeat_n(many.clone(), LONGEST).collect();

@@ -143,12 +143,12 @@ async fn feed(count: usize, turns: usize) -> Result<()> {
         lines.read_to_string(&mut line)?;
         pages.wait()?;
         // Of each second the last number stands.
-        let heard: u64 = line.lines().last().unwrap_or("0").parse()?;
+        let events: u64 = line.lines().last().unwrap_or("0").parse()?;
         let ratio = watched / alone;
         println!(
-            "{alone:.2} us of processor a task without pages, {watched:.2} us with {count}: {:+.1} %; a page heard {:.2} events/s",
+            "processor time of a task: {alone:.2} us without pages, {watched:.2} us with {count} pages ({:+.1} %); each page received {:.2} events/s",
             100.0 * (ratio - 1.0),
-            heard as f64 / count as f64 / elapsed
+            events as f64 / count as f64 / elapsed
         );
         ratios.push(ratio);
     }

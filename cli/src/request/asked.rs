@@ -203,7 +203,7 @@ impl Asked {
         Ok(self)
     }
 
-    /// Says why there is a first pass that nobody asked for.
+    /// Prints why the pilot has chosen a first pass.
     pub fn explain(&self, say: Say) {
         if let Some(Choice { method: femc_pipeline::Method::Femc, reason, .. }) = &self.choice {
             say.note(format!("a first pass guides the paths: {reason}; `--method pt` does without"));
@@ -350,7 +350,7 @@ fn settings(typed: &SettingsArgs) -> Settings {
     }
 }
 
-/// The layers typed, those of names before those of expressions.
+/// The layers that were typed: first those of `--layers`, then those of `--layer`.
 fn layers(scene: &Scene, typed: &SettingsArgs, named: &dyn Fn(&str) -> String) -> Result<Vec<Layer>, Failure> {
     let lamps = if typed.layers.is_empty() { Vec::new() } else { lamp_labels(scene) };
     let mut all = Vec::new();

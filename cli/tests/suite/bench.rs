@@ -40,6 +40,14 @@ fn methods_with_a_first_pass_are_measured_with_its_light_and_its_seconds() {
             assert_ne!(run["mse"], paths["mse"], "the same samples as path tracing: {run}");
             assert_eq!(number(&paths["first_pass_seconds"]), 0.0);
         }
+        // The pixels are those of `femc render`.
+        place
+            .run(&format!("render fog.mgf -o {method}.exr --frames 1 --size 24x16 --spp 4 --method {method}"))
+            .exits(0);
+        let line =
+            format!("bench fog.mgf --reference {method}.exr --size 24x16 --methods {method} --spp 4 --seeds 1 --json");
+        let same = place.run(&line).exits(0).json();
+        assert_eq!(number(&runs(&same)[0]["mse"]), 0.0, "{same}");
     }
 }
 

@@ -224,7 +224,7 @@ fn a_plan_says_how_many_solutions_the_frames_share() {
     assert_eq!((tasks, stages), (fewer.map(|n| n + 1), before.map(|n| n + 1)));
 }
 
-/// Nobody names a method: a pilot says whether a first pass is worth what it takes, and all commands say the same.
+/// Where no `--method` is given a pilot decides whether a first pass is solved; `plan` and `submit` decide alike.
 #[test]
 fn a_large_job_of_a_room_is_guided_by_a_first_pass_and_a_small_one_is_not() {
     let place = Place::new();

@@ -1,4 +1,4 @@
-//! Layers of frames: beside every frame, the same whoever rendered them, and their light is the picture's.
+//! Layers of frames: their file lies beside the frame, a farm makes the same bytes as one process, and the layers sum up to the picture.
 
 use crate::common::{Place, Running, coordinator, status, submit};
 use femc_film::exr::{read, read_channels};

@@ -243,7 +243,7 @@ fn a_worker_that_is_gone_stays_known_with_its_last_contact_over_a_restart_of_the
     assert_eq!(names("offline"), [""; 0]);
     first.kill();
     coordinator.wait_until("the first is missed", || names("offline") == ["w1"]);
-    // Killed: it has no time to write anything down. The second worker goes while nobody listens.
+    // The coordinator is killed, so it writes nothing at its end. The second worker stops while no coordinator runs.
     let port = url.rsplit_once(':').expect("a port").1.to_owned();
     coordinator.kill();
     second.kill();
@@ -253,8 +253,8 @@ fn a_worker_that_is_gone_stays_known_with_its_last_contact_over_a_restart_of_the
     assert_eq!(names("offline"), ["w1", "w2"]);
     let offline = get(&address, "workers").json()["offline"].clone();
     for worker in offline.as_array().expect("a list") {
-        let heard = worker["last_contact"].as_f64().expect("a date");
-        assert!((now() - PATIENCE.as_secs_f64()..=now()).contains(&heard), "{worker}, and it is {}", now());
+        let last_contact = worker["last_contact"].as_f64().expect("a date");
+        assert!((now() - PATIENCE.as_secs_f64()..=now()).contains(&last_contact), "{worker}: now it is {}", now());
         assert_eq!((&worker["intake"], &worker["tags"][0]), (&"offline".into(), &"hall".into()));
     }
     let table = place.run(&format!("workers --server {url}")).exits(0).stdout();

@@ -90,25 +90,26 @@ impl Bed {
 }
 
 impl Ready<'_> {
-    /// What the first pass of a method took; solves it when it is asked for first. Its light and its seconds are those of all frames.
+    /// The place of a method's first pass in `lit`. The pass is solved once, as for `femc render`; all frames share its light and its seconds.
     fn light(&mut self, method: femc_pipeline::Method) -> Result<usize, Failure> {
         if let Some(at) = self.lit.iter().position(|(of, _)| *of == method) {
             return Ok(at);
         }
         let Bed { setup, asked, .. } = self.bed;
-        let world = femc_pipeline::prepare_world(&asked.source, &asked.settings, setup.frame, Some(&self.prepared));
-        let mut prepared = world.map_err(failed)?;
+        let (source, settings, known) = (&asked.source, &asked.settings, Some(&self.prepared));
+        let mut prepared = femc_pipeline::prepare_world(source, settings, setup.frame, known).map_err(failed)?;
+        let world = femc_pipeline::first_pass_world(source, settings, setup.frame, known).map_err(failed)?;
         let (clock, cpu) = (Clock, femc_worker::process_time());
         let begun = clock.now();
-        let solution =
-            self.pool.install(|| femc_pipeline::first_pass(&prepared, method, self.cancel)).map_err(ended)?;
+        let solution = self.pool.install(|| femc_pipeline::first_pass(&world, method, self.cancel)).map_err(ended)?;
         let (seconds, cpu) = (clock.since(begun), femc_worker::process_time().saturating_sub(cpu));
-        femc_pipeline::light(&mut prepared, Arc::new(solution.field)).map_err(failed)?;
+        let field = femc_pipeline::brightened(Arc::new(solution.field), prepared.brightness);
+        femc_pipeline::light(&mut prepared, field).map_err(failed)?;
         self.lit.push((method, Lit { prepared, seconds, cpu }));
         Ok(self.lit.len() - 1)
     }
 
-    /// Render one frame and hold it against the reference. Its seconds are those of the first pass, too, where the method has one.
+    /// Render one frame and compare it with the reference. The frame's seconds include those of the first pass, where the method has one.
     pub fn run(&mut self, method: &Method, budget: f64, seed: u64) -> Result<Run, Failure> {
         let Bed { setup, asked, reference } = self.bed;
         let settings = Settings { stop: method.stop(budget), method: method.light, seed, ..asked.settings.clone() };

@@ -145,7 +145,11 @@ impl Reader<'_> {
         count: usize,
         from_bytes: impl Fn(&[u8; N]) -> T,
     ) -> Result<Vec<T>, FilmError> {
-        let plain = count * N;
+        Ok(from_planes(&self.plain(count * N)?, count, from_bytes))
+    }
+
+    /// What is compressed, so many bytes.
+    pub(crate) fn plain(self, plain: usize) -> Result<Vec<u8>, FilmError> {
         if zstd::zstd_safe::get_frame_content_size(self.0).ok().flatten() != Some(plain as u64) {
             return Err(FilmError::Corrupt("pixels of another number"));
         }
@@ -154,7 +158,7 @@ impl Reader<'_> {
         if planes.len() != plain {
             return Err(FilmError::Corrupt("pixels of another number"));
         }
-        Ok(from_planes(&planes, count, from_bytes))
+        Ok(planes)
     }
 
     fn word(&mut self) -> Result<u32, FilmError> {
@@ -280,7 +284,11 @@ pub(crate) fn to_planes<T, const N: usize>(pixels: &[T], to_bytes: impl Fn(&T) -
     planes
 }
 
-fn from_planes<T, const N: usize>(planes: &[u8], count: usize, from_bytes: impl Fn(&[u8; N]) -> T) -> Vec<T> {
+pub(crate) fn from_planes<T, const N: usize>(
+    planes: &[u8],
+    count: usize,
+    from_bytes: impl Fn(&[u8; N]) -> T,
+) -> Vec<T> {
     let mut pixels = Vec::with_capacity(count);
     for start in (0..count).step_by(STRIP) {
         let length = STRIP.min(count - start);

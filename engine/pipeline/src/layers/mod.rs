@@ -15,12 +15,13 @@ mod recorder;
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;
 use crate::statistics::{StatisticsPlan, render_with_statistics_and};
-use femc_film::{LayerSums, LayerTile, Rect};
+use femc_film::tile::HALVES;
+use femc_film::{LayerTile, LightSums, Rect, TakenLight};
 use femc_layers::{Automaton, LabelSet, Labels, Layer, LayerError, Vocabulary, parse_all};
 use femc_paths::Statistics;
 use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId, Scene};
-use recorder::LayerRecorder;
+use recorder::{LayerRecorder, Pixels};
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -197,7 +198,27 @@ pub fn render_with_layers(
             (range, (rendered, recorders, Some(statistics)))
         }
     };
-    let sums: Vec<LayerSums> = recorders.into_iter().flat_map(LayerRecorder::into_sums).collect();
-    let layers = LayerTile::of_pixels(rect, range, plan.count as u32, &sums)?;
+    let runs = recorders.into_iter().map(LayerRecorder::finish).collect();
+    let (counts, light) = united(runs, &plan.automaton);
+    let layers = LayerTile::new(rect, range, plan.count as u32, counts, light)?;
     Ok((rendered, layers, statistics))
+}
+
+/// Pixels of several runs of rows, one after the other.
+fn united(runs: Vec<Pixels>, automaton: &Automaton) -> (Vec<[u32; HALVES]>, Vec<TakenLight>) {
+    let (mut counts, mut light) = (Vec::new(), vec![Vec::new(); automaton.layers().len()]);
+    for run in runs {
+        for (all, own) in light.iter_mut().zip(run.light).filter(|(_, own)| !own.is_empty()) {
+            all.resize(counts.len(), LightSums::default());
+            all.extend(own);
+        }
+        counts.extend(run.count);
+    }
+    let pixels = counts.len();
+    let lit = light.into_iter().zip(automaton.layers()).filter(|(sums, _)| !sums.is_empty());
+    let light = lit.map(|(mut sums, &layers)| {
+        sums.resize(pixels, LightSums::default());
+        TakenLight { layers, sums }
+    });
+    (counts, light.collect())
 }

@@ -34,6 +34,7 @@ mod several;
 mod skew;
 mod stats;
 mod stop;
+mod stylize;
 mod sweep;
 mod trust;
 mod usage;

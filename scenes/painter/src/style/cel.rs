@@ -63,7 +63,7 @@ impl Cel<'_> {
             Tone::Half
         } else if bounce > 0.085 {
             Tone::Reflected
-        } else if bounce < 0.022 && lit < 0.06 {
+        } else if bounce < 0.0095 && lit < 0.06 {
             Tone::Deep
         } else {
             Tone::Shadow
@@ -73,14 +73,14 @@ impl Cel<'_> {
     fn color(&self, at: usize, tone: Tone) -> [f32; 3] {
         let local = self.sight.local[at];
         let gray = luma(local);
-        let rich = local.map(|c| (gray + 1.7 * (c - gray)).clamp(0.02, 1.0));
+        let rich = local.map(|c| (gray + 2.1 * (c - gray)).clamp(0.02, 1.0));
         let tinted = |tint: [f32; 3], much: f32, bright: f32| mix(rich.map(|c| bright * c), tint, much);
         match tone {
             Tone::Shine => [1.0, 0.99, 0.95],
-            Tone::Full => tinted([1.0, 0.93, 0.72], 0.22, 1.12),
-            Tone::Half => tinted([0.72, 0.45, 0.42], 0.16, 0.86),
-            Tone::Reflected => tinted([0.62, 0.30, 0.22], 0.34, 0.66),
-            Tone::Shadow => tinted([0.20, 0.20, 0.42], 0.50, 0.52),
+            Tone::Full => tinted([1.0, 0.93, 0.70], 0.22, 1.16),
+            Tone::Half => tinted([0.78, 0.44, 0.38], 0.20, 0.90),
+            Tone::Reflected => tinted([0.74, 0.30, 0.16], 0.42, 0.66),
+            Tone::Shadow => tinted([0.24, 0.19, 0.46], 0.50, 0.54),
             Tone::Deep => tinted([0.11, 0.10, 0.24], 0.72, 0.35),
         }
     }

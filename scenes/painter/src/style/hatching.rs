@@ -2,16 +2,16 @@
 //! shadow and a cold one in the dark. Highlights and what is well lit stay paper. The strokes of a layer are streamlines that keep
 //! their distance (\[jobard1997\]).
 
-use crate::canvas::{Canvas, Dab, follow, ramp};
+use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Near, STEP, outlines};
 use crate::{Sight, chance};
 use femc_film::Picture;
 use femc_math::elementary::pow;
 
 const PAPER: [f32; 3] = [0.965, 0.935, 0.865];
-const SEPIA: [f32; 3] = [0.40, 0.22, 0.12];
+const SEPIA: [f32; 3] = [0.44, 0.24, 0.13];
 const UMBER: [f32; 3] = [0.24, 0.15, 0.14];
-const INDIGO: [f32; 3] = [0.10, 0.12, 0.27];
+const INDIGO: [f32; 3] = [0.10, 0.14, 0.36];
 
 /// Strokes of one direction.
 struct Layer {
@@ -27,7 +27,7 @@ struct Layer {
     standing: [f32; 2],
 }
 
-const LAYERS: [Layer; 4] = [
+const LAYERS: [Layer; 5] = [
     Layer { from: 0.20, apart: 4.6, ink: SEPIA, axis: [0.42, -0.86, 0.30], lying: [1.0, 0.06], standing: [1.0, -0.95] },
     Layer {
         from: 0.42,
@@ -39,13 +39,14 @@ const LAYERS: [Layer; 4] = [
     },
     Layer { from: 0.60, apart: 4.2, ink: UMBER, axis: [0.85, -0.42, 0.32], lying: [1.0, 0.42], standing: [0.25, -1.0] },
     Layer {
-        from: 0.76,
+        from: 0.70,
         apart: 3.7,
         ink: INDIGO,
         axis: [0.15, -0.80, -0.58],
         lying: [0.9, -0.75],
         standing: [1.0, 0.30],
     },
+    Layer { from: 0.83, apart: 3.1, ink: INDIGO, axis: [0.70, 0.55, 0.45], lying: [1.0, 0.12], standing: [0.6, -1.0] },
 ];
 
 /// Paints.
@@ -73,7 +74,7 @@ fn tooth(x: f32, y: f32) -> f32 {
 fn darkness(sight: &Sight) -> Vec<f32> {
     let value = |at: usize| {
         let local = 0.6 + 0.4 * crate::sight::luma(sight.local[at]);
-        let lit = local * (sight.light[at] + 1.1 * sight.bounce[at]);
+        let lit = local * (0.5 * (sight.light[at] + sight.lit[at]) + 1.6 * sight.bounce[at]);
         (1.06 - 1.08 * pow(lit.max(0.0), 0.62) - 1.2 * sight.gloss[at]).clamp(0.0, 1.0)
     };
     sight.blurred(&(0..sight.tone.len()).map(value).collect::<Vec<_>>(), 1)
@@ -136,8 +137,15 @@ fn hatch(canvas: &mut Canvas, sight: &Sight, dark: &[f32], number: u64, layer: &
                 Dab { x: x + sway, y: y - sway, radius: 0.16 + (0.16 + 0.40 * much) * pressed }
             })
             .collect();
-        ink(canvas, &dabs, layer.ink, 0.86 + 0.1 * word(6));
+        ink(canvas, &dabs, own(layer.ink, sight.local[sight.at(x, y)]), 0.86 + 0.1 * word(6));
     }
+}
+
+/// Ink of the pen for a thing of this color: a little of it is in the ink, the less the darker that is.
+fn own(ink: [f32; 3], local: [f32; 3]) -> [f32; 3] {
+    let gray = crate::sight::luma(local);
+    let mixed = std::array::from_fn(|i| (ink[i] + 0.9 * (local[i] - gray)).clamp(0.04, 0.7));
+    mix(ink, mixed, (4.5 * (crate::sight::luma(ink) - 0.1)).clamp(0.0, 0.8))
 }
 
 /// A stroke of the pen, which skips hollows of the paper.

@@ -59,19 +59,19 @@ struct Painting<'a> {
 fn wanted(sight: &Sight) -> Vec<[f32; 3]> {
     const LIT: [f32; 3] = [1.06, 0.98, 0.82];
     const COLD: [f32; 3] = [0.20, 0.19, 0.36];
-    const GLOW: [f32; 3] = [0.62, 0.27, 0.10];
+    const GLOW: [f32; 3] = [0.60, 0.31, 0.07];
     let color = |at: usize| {
         let local = sight.local[at];
         // More color than there is.
         let gray = luma(local);
         let rich = local.map(|c| (gray + 1.45 * (c - gray)).clamp(0.02, 1.0));
-        let light = sight.light[at];
+        let light = 0.5 * (sight.light[at] + sight.lit[at]);
         let lit = ramp(0.02, 0.85, light);
         let shade = mix(rich.map(|c| 0.42 * c), COLD, 0.58);
         let half = std::array::from_fn(|i| rich[i] * [0.78, 0.66, 0.60][i]);
         let full = std::array::from_fn(|i| (rich[i] * 1.10 * LIT[i]).min(1.0));
         let base = if lit < 0.5 { mix(shade, half, 2.0 * lit) } else { mix(half, full, 2.0 * lit - 1.0) };
-        let glow = (1.0 - 0.8 * lit) * ramp(0.02, 0.14, sight.bounce[at]) * 0.85;
+        let glow = (1.0 - 0.8 * lit) * ramp(0.02, 0.14, sight.bounce[at]) * 0.60;
         let warmed = std::array::from_fn(|i| base[i] + glow * GLOW[i] * (0.35 + rich[i]));
         // Where no light comes to it is nearly black.
         let deep = ramp(0.16, 0.02, light + 3.0 * sight.bounce[at]);

@@ -24,6 +24,9 @@ pub fn paint(sight: &Sight) -> Picture {
     sheet.pencil();
     for object in 0..sight.curved.len() as u8 {
         sheet.first_wash(object);
+        if sight.curved[usize::from(object)] < 0.05 {
+            sheet.broad(object);
+        }
     }
     for object in 0..sight.curved.len() as u8 {
         sheet.half_shadow(object);
@@ -223,9 +226,9 @@ impl<'a> Sheet<'a> {
         let lit: Vec<f32> =
             self.everywhere(|sheet, x, y| sheet.lit(x, y).0 + 0.03 * chance::cloud(seed + 5, x / 9.0, y / 9.0, 2));
         let violet = std::array::from_fn(|i| 0.5 * (ULTRAMARINE[i] + VIOLET[i]));
-        for (n, (below, density, pigment)) in [(0.30, 0.46, violet), (0.10, 0.40, ULTRAMARINE)].into_iter().enumerate()
+        for (n, (below, density, pigment)) in [(0.30, 0.46, violet), (0.10, 0.32, ULTRAMARINE)].into_iter().enumerate()
         {
-            let wash = Wash { seed: seed + n as u32, pigment, edge: 0.65, grain: 0.42, flow: 0.40, blooms: 2 };
+            let wash = Wash { seed: seed + n as u32, pigment, edge: 0.65, grain: 0.30, flow: 0.45, blooms: 2 };
             let inside = self.of(object, |at, _, _| lit[at] < below);
             let bounce = self.bounce.clone();
             let sight = self.sight;
@@ -253,6 +256,45 @@ impl<'a> Sheet<'a> {
         (0..self.object.len()).map(at).collect()
     }
 
+    /// A broad brush goes over flat things again while they dry: where its strokes overlap, there is more paint.
+    fn broad(&mut self, object: u8) {
+        let sight = self.sight;
+        let lying = self.lies(object);
+        let absorbed = self.pigment(object).map(|c| -ln(c.clamp(0.02, 0.995)));
+        let step = 9.0;
+        let columns = (sight.width as f32 / step) as u64 + 2;
+        let rows = (sight.height as f32 / step) as u64 + 2;
+        for seed in 0..columns * rows {
+            let word = |word: u64| chance::signed(&[85, object.into(), seed, word]);
+            let x = ((seed % columns) as f32 + 0.7 * word(1)) * step;
+            let y = ((seed / columns) as f32 + 0.7 * word(2)) * step;
+            if word(3) < -0.2 || sight.object[sight.at(x, y)] != object {
+                continue;
+            }
+            let tilt = if lying { [1.0, 0.06 * word(4)] } else { [0.9, -0.75 + 0.35 * word(4)] };
+            let longest = 9.0 + 6.0 * word(5);
+            let line = follow([x, y], 2.0, |_, _| tilt, |_, _, n| n as f32 <= longest);
+            let dabs: Vec<Dab> = line
+                .iter()
+                .map(|&[x, y]| {
+                    let sway = 1.2 * chance::noise(86, x / 9.0, y / 9.0);
+                    Dab { x, y: y + sway, radius: (if lying { 2.6 } else { 4.6 }) * (1.0 + 0.3 * word(6)) }
+                })
+                .collect();
+            for touch in self.canvas.touched(&dabs) {
+                if self.object[touch.at] != object || self.inner[touch.at] < 0.8 {
+                    continue;
+                }
+                let (lit, _) = self.lit(touch.x, touch.y);
+                let edge = 0.55 + 0.9 * ramp(0.72, 0.97, touch.across.abs());
+                let dry = ramp(0.9, 0.2, self.tooth[touch.at] + 0.5 * ramp(10.0, 40.0, touch.along));
+                let density = (0.15 + 0.09 * word(7)) * (1.25 - 0.5 * lit) * touch.cover * edge * dry;
+                let pixel = &mut self.canvas.pixels[touch.at];
+                (0..3).for_each(|i| pixel[i] *= exp(-density * absorbed[i]));
+            }
+        }
+    }
+
     /// Small strokes of the brush over the dry washes, along the forms.
     fn strokes(&mut self) {
         let sight = self.sight;
@@ -265,7 +307,7 @@ impl<'a> Sheet<'a> {
             let (x, y) = (3.0 * (seed % columns) as f32 + 1.5 * word(1), 3.0 * (seed / columns) as f32 + 1.5 * word(2));
             let (lit, thrown) = self.lit(x, y);
             let dark = (1.0 - lit - 2.0 * thrown).max(0.0);
-            if chance::unit(&[77, seed]) > 0.25 + 0.75 * dark
+            if chance::unit(&[77, seed]) > ramp(0.12, 0.6, dark)
                 || sight.smooth(&sight.gloss, x, y) > 0.1
                 || !taken.free(x, y, 0.0)
             {
@@ -282,11 +324,11 @@ impl<'a> Sheet<'a> {
                     false => [0.8, -0.7 + 0.4 * word(3)],
                 }
             };
-            let longest = 3.0 + 3.0 * chance::unit(&[78, seed]);
+            let longest = 2.0 + 5.0 * chance::unit(&[78, seed]);
             let line =
                 follow([x, y], 1.5, direction, |x, y, n| n as f32 <= longest && sight.object[sight.at(x, y)] == object);
             line.iter().for_each(|p| taken.take(p[0], p[1]));
-            let wide = 1.7 + 0.7 * word(4);
+            let wide = 2.0 + 1.1 * word(4);
             let count = line.len() as f32;
             let dabs: Vec<Dab> = line
                 .iter()
@@ -301,9 +343,10 @@ impl<'a> Sheet<'a> {
             });
             let absorbed = pigment.map(|c| -ln(c.clamp(0.02, 0.995)));
             for touch in self.canvas.touched(&dabs) {
-                let edge = 0.65 + 0.9 * ramp(0.55, 0.95, touch.across.abs());
+                let edge = 0.65 + 0.8 * ramp(0.5, 0.95, touch.across * (0.6 + 0.4 * word(7)) + 0.2);
                 let grain = 1.0 - 0.35 * self.tooth[touch.at];
-                let density = (0.13 + 0.16 * dark) * touch.cover * edge * grain;
+                let spread = 0.45 + 1.1 * ramp(0.0, 9.0, touch.along);
+                let density = (0.09 + 0.17 * dark) * (1.0 + 0.5 * word(6)) * spread * touch.cover * edge * grain;
                 let pixel = &mut self.canvas.pixels[touch.at];
                 (0..3).for_each(|i| pixel[i] *= exp(-density * absorbed[i]));
             }

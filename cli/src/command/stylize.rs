@@ -4,10 +4,10 @@ use crate::args::{FormatArgs, fits};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Progress, Say, human, json};
-use crate::values::Exposure;
+use crate::values::{Exposure, Style, guide_frame};
 use clap::{Args, ValueEnum};
-use femc_film::{FilmError, Levels, Picture, ToneCurve, file};
-use femc_stylize::{Before, Example, Figures, GuideFrame, Planes, Settings, StylizeError, Stylized, frames};
+use femc_film::{Levels, ToneCurve, file};
+use femc_stylize::{Before, Example, Figures, GuideFrame, Settings, StylizeError, Stylized, frames};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -15,21 +15,21 @@ use std::sync::{Mutex, PoisonError};
 /// Paint renders in the style of a painted example, guided by light
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc render ball.mgf -o ball.exr --layers guides\n  \
     femc render room.mgf -o room.exr --layers guides\n  \
+    femc stylize --style oil --target room.layers.exr -o room.png\n  \
     femc stylize --style painted.png --source ball.layers.exr --target room.layers.exr -o room.png\n  \
     femc stylize --style painted.png --source ball.layers.exr --target 'drive/*.layers.exr' -o painted/\n\n\
-    The painting lies pixel on pixel over the source, a rendering. What guides are the layers of light that both source and target \
+    A painting lies pixel on pixel over its source, a render. What guides are the layers of light that both source and target \
     have, or else the pictures themselves. Source and targets are each shown under an exposure of their own; all targets have the \
     same. Several targets are painted one after the other, as frames of a clip: with layers motion (and depth) each holds on \
     to what was painted before. The same files and settings give the same pictures with any number of threads.")]
 pub struct StylizeArgs {
-    /// The painting, of the source's size
+    /// The painting, of the source's size; or a style that comes with femc: hatching, watercolor, oil, cel
     #[arg(long, value_name = "PAINTED.png")]
     style: PathBuf,
-    /// The rendering that was painted
+    /// The render that was painted [default: that of the styles that come with femc]
     #[arg(long, value_name = "A.exr")]
-    source: PathBuf,
+    source: Option<PathBuf>,
     /// What to paint; * stands for any text in the name of a file
     #[arg(long, value_name = "B.exr", num_args = 1.., required = true)]
     target: Vec<PathBuf>,
@@ -118,24 +118,23 @@ struct Row {
 pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
     let targets = targets(&args.target)?;
     let outputs = args.outputs(&targets)?;
-    let source = read("--source", &args.source)?;
-    let style = style(&args.style, &source, &args.source)?;
-    let first = read("--target", &targets[0])?;
+    let Style { painting, source, source_path } = Style::read(&args.style, args.source.as_deref())?;
+    let first = guide_frame("--target", &targets[0])?;
     let names = match &*args.guides {
         [] => frames::common(&source, &first).map_err(|error| args.told(&error, &targets[0]))?,
         named => named.iter().map(String::as_str).collect(),
     };
     let curve = ToneCurve::auto(source.exposed().as_ref());
-    let guides = source.guides(&names, curve).map_err(|error| args.told(&error, &args.source))?;
+    let guides = source.guides(&names, curve).map_err(|error| args.told(&error, &source_path))?;
     let curve = args.curve(&targets, &first)?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, |threads| threads as usize)).build();
     let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
     let (clock, progress) = (Clock, Mutex::new(Progress::new(say, Clock)));
-    let (started, example) = (clock.now(), Example { style: &style, guides: &guides });
+    let (started, example) = (clock.now(), Example { style: &painting, guides: &guides });
     let (mut rows, mut last): (Vec<Row>, Option<(Stylized, GuideFrame)>) = (Vec::new(), None);
     for (at, (target, out)) in targets.iter().zip(&outputs).enumerate() {
         let began = clock.now();
-        let frame = if at == 0 { first.clone() } else { read("--target", target)? };
+        let frame = if at == 0 { first.clone() } else { guide_frame("--target", target)? };
         let told = |error: StylizeError| args.told(&error, target);
         let shown = frame.guides(&names, curve).map_err(told)?;
         let before = last.as_ref().and_then(|(painted, frame)| moved(painted, frame)).transpose().map_err(told)?;
@@ -219,7 +218,7 @@ impl StylizeArgs {
         let mut all = levels(first);
         if self.exposure == Exposure::Auto {
             for target in &targets[1..] {
-                all.merge(&levels(&read("--target", target)?));
+                all.merge(&levels(&guide_frame("--target", target)?));
             }
         }
         Ok(self.exposure.curve(&all))
@@ -241,8 +240,7 @@ impl StylizeArgs {
                 usage(format!("--levels {levels}: images of this size and patches of {patch} pixels allow 1 to {most}"))
             }
             StylizeError::NothingInCommon { source_guides, target_guides } => failed(format!(
-                "{} has the layers {}, {path} {}: none in common; render both with --layers guides",
-                self.source.display(),
+                "the source has the layers {}, {path} {}: none in common; render both with --layers guides",
                 source_guides.join(", "),
                 target_guides.join(", ")
             )),
@@ -301,37 +299,6 @@ fn targets(asked: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         all.extend(names.iter().map(|name| path.with_file_name(name)));
     }
     Ok(all)
-}
-
-/// A frame that may guide, finite everywhere.
-fn read(flag: &str, path: &Path) -> Result<GuideFrame, Failure> {
-    GuideFrame::read(path).map_err(|error| match error {
-        FilmError::File { path, cause } if cause.kind() == std::io::ErrorKind::NotFound => {
-            usage(format!("{flag} {}: no such file; give an EXR image", path.display()))
-        }
-        error => failed(format!("{flag}: {error}; give an EXR image with channels R, G and B, or with layers")),
-    })
-}
-
-/// The painting, checked against the source.
-fn style(path: &Path, source: &GuideFrame, source_path: &Path) -> Result<Planes, Failure> {
-    let bytes = std::fs::read(path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => usage(format!("--style {}: no such file; give a PNG", path.display())),
-        _ => failed(format!("--style {}: {error}", path.display())),
-    })?;
-    let fault = |error: &dyn std::fmt::Display| failed(format!("--style {}: {error}; give a PNG", path.display()));
-    let picture = Picture::from_any_png(&bytes).map_err(|error| fault(&error))?;
-    let [width, height] = source.size();
-    if [picture.width, picture.height] != [width, height] {
-        return Err(failed(format!(
-            "--style {} has {}x{} pixels, the source {} {width}x{height}; paint over the source, pixel on pixel",
-            path.display(),
-            picture.width,
-            picture.height,
-            source_path.display(),
-        )));
-    }
-    frames::painting(&picture).map_err(|error| fault(&error))
 }
 
 fn print(say: Say, report: &Report<'_>) {

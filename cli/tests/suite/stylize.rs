@@ -2,6 +2,7 @@
 
 use crate::common::{Place, names};
 use femc_film::{FrameImage, Image, LayerImage, Picture, Provenance, exr};
+use std::collections::BTreeMap;
 
 const SIZE: [u32; 2] = [24, 18];
 
@@ -113,6 +114,48 @@ fn several_targets_go_to_a_folder_under_one_exposure() {
     place.run(&format!("{line} --target c-1.exr c-2.exr -o clip/ --exposure 5")).exits(0);
     place.run(&format!("{line} --target c-2.exr -o alone.png --exposure 5")).exits(0);
     assert!(picture(&place, "clip/c-2.png") == picture(&place, "alone.png"), "they differ");
+}
+
+#[test]
+fn styles_come_with_the_program() {
+    let place = place();
+    for style in ["hatching", "watercolor", "oil", "cel"] {
+        place.run(&format!("stylize --style {style} --target b.layers.exr -o {style}.png --iterations 1")).exits(0);
+        let painted = picture(&place, &format!("{style}.png"));
+        assert_eq!((painted.width, painted.height), (30, 20), "{style}");
+    }
+    assert!(picture(&place, "oil.png") != picture(&place, "cel.png"), "they are one style");
+    let ran = place.run("stylize --style aquatint --target b.layers.exr -o out.png").exits(2);
+    assert!(ran.stderr().contains("hatching, watercolor, oil, cel"), "{}", ran.stderr());
+}
+
+#[test]
+fn frames_of_a_clip_hold_on_to_what_was_painted_where_motion_says_it_went() {
+    let place = place();
+    let size = [40u32, 30];
+    let pixels = (size[0] * size[1]) as usize;
+    // Light that goes 3 pixels to the right a frame.
+    for frame in 0..3u32 {
+        let light: Vec<f32> = (0..size[1])
+            .flat_map(|y| (0..size[0]).map(move |x| (x, y)))
+            .map(|(x, y)| glow([10 + 3 * frame, 12])(x, y)[0] + 0.01 * ((x * 7 + y * 13 + frame * 5) % 11) as f32)
+            .collect();
+        let (dx, dy, z) = (vec![3.0; pixels], vec![0.0; pixels], vec![2.0; pixels]);
+        let named =
+            [("R", &light), ("G", &light), ("B", &light), ("motion.X", &dx), ("motion.Y", &dy), ("depth.Z", &z)];
+        let channels = named.map(|(name, values)| exr::NamedChannel { name, values, precision: exr::Precision::Float });
+        let bytes = exr::encode_named(size, &channels, &BTreeMap::new()).expect("an image");
+        std::fs::write(place.path(&format!("m-{frame}.exr")), bytes).expect("written");
+    }
+    let flicker = |boil: &str| {
+        let line = format!("stylize --style p.png --source a.exr --target m-*.exr -o clip/ --boil {boil} --json");
+        let report = place.run(&line).exits(0).json();
+        assert_eq!(report["frames"][0]["flicker"], serde_json::Value::Null);
+        (1..3).map(|at| report["frames"][at]["flicker"].as_f64().expect("it is known")).sum::<f64>() / 2.0
+    };
+    let [held, anew] = ["0", "1"].map(flicker);
+    eprintln!("flicker {held:.2} held, {anew:.2} anew");
+    assert!(held < 0.5 * anew, "{held} {anew}");
 }
 
 #[test]

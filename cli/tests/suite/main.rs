@@ -11,6 +11,7 @@ mod drill;
 mod encode;
 mod farm;
 mod faults;
+mod features;
 mod field;
 mod fireflies;
 mod first_pass;

@@ -10,13 +10,17 @@
 //! - a lamp, however it was found: `L`; a medium that glows: `O`. There is no background, `B`;
 //! - surfaces that light goes straight through: none, since the way to a lamp leads through them, too.
 
+mod features;
 mod recorder;
+
+pub use features::{FeaturePlan, feature_channels, feature_layout, render_beside};
 
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;
 use crate::statistics::{StatisticsPlan, render_with_statistics_and};
-use femc_film::{LayerSums, LayerTile, Rect};
+use femc_film::{FilmError, LayerSums, LayerTile, Rect};
 use femc_layers::{Automaton, LabelSet, Layer, LayerError, Vocabulary, parse_all};
+use femc_montecarlo::Recorder;
 use femc_paths::Statistics;
 use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId, Scene};
@@ -77,6 +81,12 @@ impl LayerPlan {
     /// The automaton of all their expressions.
     pub fn automaton(&self) -> &Automaton {
         &self.automaton
+    }
+
+    /// The layers of a tile, which these recorders have heard of in order.
+    fn tile(&self, rect: Rect, samples: Range<u32>, recorders: Vec<LayerRecorder<'_>>) -> Result<LayerTile, FilmError> {
+        let sums: Vec<LayerSums> = recorders.into_iter().flat_map(LayerRecorder::into_sums).collect();
+        LayerTile::of_pixels(rect, samples, self.count as u32, &sums)
     }
 
     /// Whether what things are called matters.
@@ -173,20 +183,29 @@ pub fn render_with_layers(
     cancel: &AtomicBool,
     progress: &AtomicU64,
 ) -> Result<(RenderedTile, LayerTile, Option<Statistics>), RenderError> {
-    let recorder = || LayerRecorder::new(plan, prepared);
-    let (range, (rendered, recorders, statistics)) = match statistics {
+    let task = (prepared, settings, statistics, rect, samples.clone(), cancel, progress);
+    let (rendered, recorders, statistics) = recorded(task, || LayerRecorder::new(plan, prepared))?;
+    Ok((rendered, plan.tile(rect, samples, recorders)?, statistics))
+}
+
+/// What is rendered: a frame, with what settings and statistics, which pixels and samples; what cancels it, and where it counts samples.
+type Task<'a> =
+    (&'a Prepared, &'a Settings, Option<&'a StatisticsPlan>, Rect, Range<u32>, &'a AtomicBool, &'a AtomicU64);
+
+/// Renders samples of a tile with recorders of some kind; returns these in order, too.
+fn recorded<R: Recorder + Send>(
+    (prepared, settings, statistics, rect, samples, cancel, progress): Task<'_>,
+    recorder: impl Fn() -> R + Sync,
+) -> Result<(RenderedTile, Vec<R>, Option<Statistics>), RenderError> {
+    match statistics {
         None => {
-            let outcome = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
-            (samples, (outcome.0, outcome.1, None))
+            let (rendered, all) = render_rows(prepared, settings, rect, samples, cancel, progress, recorder)?;
+            Ok((rendered, all, None))
         }
         Some(of) => {
-            let range = samples.clone();
-            let (rendered, statistics, recorders) =
+            let (rendered, statistics, all) =
                 render_with_statistics_and(prepared, settings, of, rect, samples, cancel, progress, recorder)?;
-            (range, (rendered, recorders, Some(statistics)))
+            Ok((rendered, all, Some(statistics)))
         }
-    };
-    let sums: Vec<LayerSums> = recorders.into_iter().flat_map(LayerRecorder::into_sums).collect();
-    let layers = LayerTile::of_pixels(rect, range, plan.count as u32, &sums)?;
-    Ok((rendered, layers, statistics))
+    }
 }

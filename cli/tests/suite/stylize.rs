@@ -50,7 +50,7 @@ fn write_layers(
         depth: vec![0.0; n],
         samples: vec![1; n],
     };
-    let bytes = exr::encode_layers(&frame, &layers, &Provenance::default()).expect("an image");
+    let bytes = exr::encode_layers(&frame, &layers, &[], &[], &Provenance::default()).expect("an image");
     std::fs::write(place.path(name), bytes).expect("written");
 }
 

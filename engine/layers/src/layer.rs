@@ -2,6 +2,7 @@
 
 use crate::error::LayerError;
 use crate::expression::Expression;
+use crate::feature::Feature;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::str::FromStr;
@@ -10,7 +11,7 @@ use std::str::FromStr;
 pub const MOST_LAYERS: usize = 64;
 
 /// Channels that the file has besides those of layers.
-const TAKEN: [&str; 5] = ["samples", "variance", "albedo", "depth", "relative_error"];
+const TAKEN: [&str; 4] = ["samples", "variance", "coverage", "relative_error"];
 
 /// A layer as it is asked for.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -34,7 +35,7 @@ impl Layer {
         if !(1..=64).contains(&self.name.len()) || !self.name.chars().all(is_fit) {
             return Err(LayerError::Name(self.name.clone()));
         }
-        if TAKEN.contains(&self.name.as_str()) {
+        if TAKEN.contains(&self.name.as_str()) || Feature::named(&self.name).is_some() {
             return Err(LayerError::Taken(self.name.clone()));
         }
         Expression::parse(&self.expression).map_err(|cause| LayerError::Expression { layer: self.name.clone(), cause })

@@ -206,6 +206,9 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let center = self.scene.camera.center(pixel);
         let place = [center[0] + offset[0], center[1] + offset[1]];
         let ray = view.ray(place);
+        if R::CAMERA {
+            self.recorder.camera(&view, lens, &ray);
+        }
         let mut came = Came::Surely;
         let mut drawn = Rgb::ZERO;
         if let Some(seen) = self.scene.sightings.of(pixel) {
@@ -428,7 +431,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let material = &scene.materials[point.material as usize];
             let back = point.normal.dot(ray.dir) > 0.0;
             let crossing = material.crossing[usize::from(back)];
-            let bsdf = self.bsdf(material, &point);
+            let bsdf = bsdf_at(scene, material, &point);
             let (frame, wo) = local_wo(material, &point, ray.dir);
             if first && !matches!(crossing, Crossing::Null { .. }) {
                 first = false;
@@ -576,13 +579,6 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             out.color = Rgb::NAN;
         }
         out
-    }
-
-    fn bsdf(&self, material: &KernelMaterial, point: &SurfacePoint) -> Bsdf {
-        match material.map_rd {
-            None => material.bsdf,
-            Some(map) => material.textured(self.scene.textures[map as usize].lookup(point.uv)),
-        }
     }
 
     /// Emission of a surface that the path met, weighted against the strategies that could have found it.
@@ -754,9 +750,18 @@ fn from_field(color: Rgb, throughput: Rgb, bounce: u32, position: Vec3A) -> Cont
     Contribution { color, throughput, bounce, found: Found::Field, light: None, position }
 }
 
+/// The BSDF at a point of a material.
+#[inline]
+pub(crate) fn bsdf_at(scene: &Prepared, material: &KernelMaterial, point: &SurfacePoint) -> Bsdf {
+    match material.map_rd {
+        None => material.bsdf,
+        Some(map) => material.textured(scene.textures[map as usize].lookup(point.uv)),
+    }
+}
+
 /// The shading frame and the direction toward the viewer in it.
 #[inline]
-fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec3A) -> (Frame, Vec3A) {
+pub(crate) fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec3A) -> (Frame, Vec3A) {
     let outward = -dir;
     let back = point.normal.dot(outward) < 0.0;
     let mut shading = point.shading;

@@ -7,6 +7,7 @@
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
+use femc_prepared::camera::View;
 use femc_scattering::Bsdf;
 pub use femc_scattering::Transmitted;
 
@@ -25,9 +26,14 @@ pub trait Recorder {
     const HIDDEN: bool = true;
     /// Whether it wants to hear of light that was drawn and adds nothing: it is hidden, or on a side that scatters none.
     const DARK: bool = true;
+    /// Whether it wants to hear of camera rays ([`Self::camera`]).
+    const CAMERA: bool = false;
 
     /// A camera sample begins: its pixel, a row-major index in the whole film, and its number. Says what is to be heard of it.
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears;
+    /// The sample's ray leaves the camera, whatever else is to be heard of the sample.
+    /// - `view`: what the point `lens` of the lens, in [0, 1)^2, sees at the ray's time.
+    fn camera(&mut self, _view: &View, _lens: [f32; 2], _ray: &Ray) {}
     /// The path has come to a surface that may scatter, or to a collision in a medium.
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
     /// The path goes on from its latest vertex.
@@ -308,10 +314,16 @@ impl<A, B> Both<A, B> {
 impl<A: Recorder, B: Recorder> Recorder for Both<A, B> {
     const HIDDEN: bool = A::HIDDEN || B::HIDDEN;
     const DARK: bool = A::DARK || B::DARK;
+    const CAMERA: bool = A::CAMERA || B::CAMERA;
 
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
         self.hears = [self.first.begin(pixel, sample), self.second.begin(pixel, sample)].map(|it| it == Hears::All);
         if self.hears == [false; 2] { Hears::End } else { Hears::All }
+    }
+
+    fn camera(&mut self, view: &View, lens: [f32; 2], ray: &Ray) {
+        self.first.camera(view, lens, ray);
+        self.second.camera(view, lens, ray);
     }
 
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {

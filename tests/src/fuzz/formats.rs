@@ -7,7 +7,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use bytes::Bytes;
 use femc_field::{FogCell, FogTree, Line};
 use femc_film::tile::OPEN;
-use femc_film::{Errors, Frame, LayerPiece, LayerTile, Levels, Piece, Rect, Sample, Tile, Tiling};
+use femc_film::{
+    BesidePiece, BesideTile, Errors, FeatureLayout, FeatureSums, FeatureTile, Frame, LayerPiece, LayerTile, Levels,
+    LightBuffer, Piece, Rect, Sample, TakenLight, Tile, Tiling,
+};
 use femc_geometry::Hit;
 use femc_import::Bundle;
 use femc_math::Rgb;
@@ -35,6 +38,7 @@ pub(super) fn targets() -> Vec<Target> {
     let mut all = scenes();
     all.extend(film());
     all.extend(layers());
+    all.extend(beside());
     all.extend(first_pass());
     all.extend(paths());
     all.extend(log());
@@ -198,7 +202,8 @@ fn layers() -> Vec<Target> {
     };
     let is_piece = |bytes: &[u8]| {
         let Ok(piece) = LayerPiece::decode(bytes) else { return false };
-        assert_eq!(LayerPiece::decode(&piece.encode()).map(|again| again.encode()), Ok(piece.encode()));
+        let encoded = piece.encode();
+        assert!(LayerPiece::decode(&encoded).is_ok_and(|again| again.encode() == encoded));
         true
     };
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
@@ -237,6 +242,54 @@ fn planes(
 
 /// What a frame of zstd begins with.
 const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// Layers and features of a tile, and both of several.
+fn beside() -> Vec<Target> {
+    let (tiling, rect) = (Tiling::new(4, 3, 8).expect("a tiling"), Rect { x: 0, y: 0, width: 4, height: 3 });
+    let (mut light, mut features) = (LightBuffer::default(), FeatureSums::new(FeatureLayout { values: 2, ids: 2 }));
+    light.add(1, Rgb::new(1.0, 2.0, 0.5));
+    let light = TakenLight { layers: 1, sums: vec![light.take().expect("light"); 12] };
+    for pixel in 0..12 {
+        features.begin_pixel();
+        features.add(None);
+        features.add(Some((&[1.5, -f64::from(pixel)], &[pixel, 0x3f80_0000])));
+        features.add(Some((&[0.5, 3.0], &[7, 0x3f00_0000])));
+    }
+    let tile = BesideTile {
+        light: Some(LayerTile::new(rect, 0..4, 1, vec![[0, 1]; 12], vec![light]).expect("layers")),
+        features: Some(FeatureTile::new(rect, 0..4, features).expect("features")),
+    };
+    let mut piece = BesidePiece::new(tiling, 0);
+    piece.put(&tile, OPEN).expect("the first tile");
+    let features = tile.features.as_ref().map(FeatureTile::encode).expect("they are there");
+    // Behind the header of features: magic, version, checksum, eight words, and one for each kind of ids.
+    let (front, planes) = features.split_at(28 + 10 * 4);
+    let (front, planes) = (front.to_vec(), zstd::bulk::decompress(planes, 1 << 16).expect("what was compressed"));
+    let dress =
+        move |planes: &[u8]| sealed(&[&front[..], &zstd::bulk::compress(planes, 1).expect("it compresses")].concat());
+    let is_tile = |bytes: &[u8]| {
+        let Ok(tile) = BesideTile::decode(bytes) else { return false };
+        assert!(BesideTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
+        true
+    };
+    let are_features = |bytes: &[u8]| {
+        let Ok(tile) = FeatureTile::decode(bytes) else { return false };
+        assert!(FeatureTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
+        // What is accepted can be united with itself, and resolved.
+        let BesideTile { features, .. } =
+            BesideTile::united(vec![BesideTile { light: None, features: Some(tile) }], 0, OPEN).expect("one part");
+        features.is_some()
+    };
+    let is_piece = |bytes: &[u8]| BesidePiece::decode(bytes).is_ok();
+    vec![
+        Target::dressed("features, inside", vec![features], sealed, are_features),
+        Target::dressed("features, sums", vec![planes], dress, are_features),
+        Target::of("beside", vec![tile.encode()], is_tile),
+        Target::dressed("beside, inside", vec![tile.encode()], sealed, is_tile),
+        Target::of("piece beside", vec![piece.encode()], is_piece),
+        Target::dressed("piece beside, inside", vec![piece.encode()], sealed, is_piece),
+    ]
+}
 
 /// The light of a floor, a ball and fog, as the first pass finds it.
 fn first_pass() -> Vec<Target> {

@@ -10,14 +10,18 @@
 //! - a lamp, however it was found: `L`; a medium that glows: `O`. There is no background, `B`;
 //! - surfaces that light goes straight through: none, since the way to a lamp leads through them, too.
 
+mod features;
 mod recorder;
+
+pub use features::{FeaturePlan, feature_channels, feature_layout, render_beside};
 
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;
 use crate::statistics::{StatisticsPlan, render_with_statistics_and};
 use femc_film::tile::HALVES;
-use femc_film::{LayerTile, LightSums, Rect, TakenLight};
+use femc_film::{FilmError, LayerTile, LightSums, Rect, TakenLight};
 use femc_layers::{Automaton, LabelSet, Labels, Layer, LayerError, Vocabulary, parse_all};
+use femc_montecarlo::Recorder;
 use femc_paths::Statistics;
 use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId, Scene};
@@ -93,6 +97,14 @@ impl LayerPlan {
         &self.automaton
     }
 
+    /// The layers of a tile, which these recorders have heard of in order.
+    fn tile(&self, rect: Rect, samples: Range<u32>, recorders: Vec<LayerRecorder<'_>>) -> Result<LayerTile, FilmError> {
+        let runs = recorders.into_iter().map(LayerRecorder::finish).collect();
+        let (counts, light) = united(runs, &self.automaton);
+        LayerTile::new(rect, samples, self.count as u32, counts, light)
+    }
+
+    #[inline]
     fn surface(&self, object: Option<ObjectId>, material: u32) -> Labels {
         let row = object.and_then(|object| self.objects.get(object.index())).copied().unwrap_or_default();
         let column = self.materials.get(material as usize).copied().unwrap_or_default();
@@ -185,23 +197,31 @@ pub fn render_with_layers(
     cancel: &AtomicBool,
     progress: &AtomicU64,
 ) -> Result<(RenderedTile, LayerTile, Option<Statistics>), RenderError> {
-    let recorder = || LayerRecorder::new(plan, prepared);
-    let (range, (rendered, recorders, statistics)) = match statistics {
+    let task = (prepared, settings, statistics, rect, samples.clone(), cancel, progress);
+    let (rendered, recorders, statistics) = recorded(task, || LayerRecorder::new(plan, prepared))?;
+    Ok((rendered, plan.tile(rect, samples, recorders)?, statistics))
+}
+
+/// What is rendered: a frame, with what settings and statistics, which pixels and samples; what cancels it, and where it counts samples.
+type Task<'a> =
+    (&'a Prepared, &'a Settings, Option<&'a StatisticsPlan>, Rect, Range<u32>, &'a AtomicBool, &'a AtomicU64);
+
+/// Renders samples of a tile with recorders of some kind; returns these in order, too.
+fn recorded<R: Recorder + Send>(
+    (prepared, settings, statistics, rect, samples, cancel, progress): Task<'_>,
+    recorder: impl Fn() -> R + Sync,
+) -> Result<(RenderedTile, Vec<R>, Option<Statistics>), RenderError> {
+    match statistics {
         None => {
-            let outcome = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
-            (samples, (outcome.0, outcome.1, None))
+            let (rendered, all) = render_rows(prepared, settings, rect, samples, cancel, progress, recorder)?;
+            Ok((rendered, all, None))
         }
         Some(of) => {
-            let range = samples.clone();
-            let (rendered, statistics, recorders) =
+            let (rendered, statistics, all) =
                 render_with_statistics_and(prepared, settings, of, rect, samples, cancel, progress, recorder)?;
-            (range, (rendered, recorders, Some(statistics)))
+            Ok((rendered, all, Some(statistics)))
         }
-    };
-    let runs = recorders.into_iter().map(LayerRecorder::finish).collect();
-    let (counts, light) = united(runs, &plan.automaton);
-    let layers = LayerTile::new(rect, range, plan.count as u32, counts, light)?;
-    Ok((rendered, layers, statistics))
+    }
 }
 
 /// Pixels of several runs of rows, one after the other.

@@ -35,6 +35,7 @@ mod several;
 mod skew;
 mod stats;
 mod stop;
+mod stylize;
 mod sweep;
 mod trust;
 mod usage;

@@ -652,7 +652,6 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             if light.delta == DeltaKind::Position { 0.0 } else { square(scattering.pdf(wi, light.dir) / light.pdf) };
         let weight = weight(self.settings.only, Technique::Light, by_scattering);
         let contribution = value * light.radiance * (weight / light.pdf);
-        tell!(self.split(|| Split::of(bsdf, wo, wi)));
         let mut inside = *inside;
         if MEDIA && (point.normal.dot(light.dir) > 0.0) == back {
             cross(&mut inside, &scene.materials[point.material as usize], back);
@@ -661,6 +660,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let visibility = self.shadow.visibility::<MEDIA>(scene, from, light, time, &inside, &mut self.counters);
         if visibility == Rgb::ZERO {
             tell!(self.hidden(|| segment(from, (light.position, light.error, light.normal), time)));
+        } else {
+            tell!(self.split(|| Split::of(bsdf, wo, wi)));
         }
         contribution * visibility
     }

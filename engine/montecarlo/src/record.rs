@@ -39,7 +39,7 @@ pub trait Recorder {
     /// The light that was drawn for the latest vertex, or for a point in fog, is hidden by a surface: its contribution, which is told next, is 0.
     fn hidden(&mut self, shadow: impl FnOnce() -> Ray);
     /// What the surface of the latest vertex is to the direction that is told next: the one that the path goes on in, or that of the light
-    /// that was drawn. Of a mirror and of clear surfaces nothing is told.
+    /// that was drawn, unless it is hidden. Of a mirror and of clear surfaces nothing is told.
     fn split(&mut self, _split: impl FnOnce() -> Split) {}
     /// Light was found.
     fn light(&mut self, contribution: impl FnOnce() -> Contribution);
@@ -146,16 +146,43 @@ pub enum Leaving {
 pub struct Split {
     /// Whether the directions lie on different sides.
     pub transmitted: Transmitted,
-    /// Share by channel that is scattered diffusely; the rest is glossy. In 0..1.
-    pub diffuse: Rgb,
+    /// What scatters.
+    pub lobes: Lobes,
+}
+
+/// Lobes of a surface between two directions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Lobes {
+    /// All is scattered diffusely.
+    Diffuse,
+    /// All is scattered about a direction.
+    Glossy,
+    /// Both: the share by channel that is scattered diffusely, in 0..1.
+    Both(Rgb),
 }
 
 impl Split {
     /// Of light from `wi` to `wo`, unit, local frame: by the side that it comes from and by the lobes' shares of the BSDF's value there,
     /// whatever drew the direction.
+    #[inline]
     pub(crate) fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
         let transmitted = if wo.z * wi.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
-        Self { transmitted, diffuse: bsdf.diffuse_share(wo, wi) }
+        let lobes = if matches!(bsdf, Bsdf::Diffuse(_)) { Lobes::Diffuse } else { Lobes::of(bsdf, wo, wi) };
+        Self { transmitted, lobes }
+    }
+}
+
+impl Lobes {
+    #[inline(never)]
+    fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
+        let share = bsdf.diffuse_share(wo, wi);
+        if share == Rgb::ONE {
+            Self::Diffuse
+        } else if share == Rgb::ZERO {
+            Self::Glossy
+        } else {
+            Self::Both(share)
+        }
     }
 }
 

@@ -121,7 +121,7 @@ fn color(name: &str, pixels: &[[f32; 3]]) -> Vec<AnyChannel<FlatSamples>> {
     ["R", "G", "B"].into_iter().enumerate().map(channel).collect()
 }
 
-fn encode_channels(
+pub(super) fn encode_channels(
     [width, height]: [u32; 2],
     channels: Vec<AnyChannel<FlatSamples>>,
     texts: Vec<(String, String)>,
@@ -174,11 +174,11 @@ pub fn errors(error: &FrameError, image: &FrameImage) -> Vec<f32> {
     pixels
 }
 
-fn floats(name: &str, values: impl Iterator<Item = f32>) -> AnyChannel<FlatSamples> {
+pub(super) fn floats(name: &str, values: impl Iterator<Item = f32>) -> AnyChannel<FlatSamples> {
     AnyChannel::new(name, FlatSamples::F32(values.collect()))
 }
 
-fn failed(cause: String) -> FilmError {
+pub(super) fn failed(cause: String) -> FilmError {
     FilmError::Format { what: "writing EXR", cause }
 }
 

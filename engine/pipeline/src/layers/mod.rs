@@ -19,7 +19,7 @@ use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;
 use crate::statistics::{StatisticsPlan, render_with_statistics_and};
 use femc_film::{FilmError, LayerSums, LayerTile, Rect};
-use femc_layers::{Automaton, LabelSet, Layer, LayerError, Vocabulary, parse_all};
+use femc_layers::{Automaton, LabelSet, Labels, Layer, LayerError, Vocabulary, parse_all};
 use femc_montecarlo::Recorder;
 use femc_paths::Statistics;
 use femc_prepared::Prepared;
@@ -35,11 +35,16 @@ pub struct LayerPlan {
     automaton: Automaton,
     /// Number of layers.
     count: usize,
-    /// Label sets; empty where no layer names anything.
-    objects: Vec<LabelSet>,
-    materials: Vec<LabelSet>,
-    media: Vec<LabelSet>,
-    lamps: Vec<LabelSet>,
+    /// What has no labels.
+    plain: Labels,
+    /// By object its row in `surfaces`, by material its place in the row. Empty, as what follows, where no layer names anything.
+    objects: Vec<u32>,
+    materials: Vec<u32>,
+    surfaces: Vec<Labels>,
+    media: Vec<Labels>,
+    lamps: Vec<Labels>,
+    /// Whether no surface and no medium has labels.
+    are_alike: bool,
 }
 
 impl LayerPlan {
@@ -48,29 +53,37 @@ impl LayerPlan {
     pub fn of(prepared: &Prepared, settings: &Settings) -> Result<Self, LayerError> {
         let (layers, scene) = (&settings.layers, &prepared.scene);
         let vocabulary = Automaton::vocabulary(layers)?;
-        let mut plan = Self {
-            automaton: Automaton::new(layers, &vocabulary, [LabelSet::default()])?,
-            count: layers.len(),
-            objects: Vec::new(),
-            materials: Vec::new(),
-            media: Vec::new(),
-            lamps: Vec::new(),
+        let is_labelled = !vocabulary.labels().is_empty();
+        let all = |names: &mut dyn Iterator<Item = LabelSet>| if is_labelled { names.collect() } else { Vec::new() };
+        let objects = all(&mut scene.objects.iter().map(|object| vocabulary.set(&[&object.name])));
+        let material = |material: usize| vocabulary.set(&[prepared.material_name(material as u32)]);
+        let materials = all(&mut (0..prepared.materials.len()).map(material));
+        let media = all(&mut scene.media.iter().map(|medium| vocabulary.set(&[&medium.name])));
+        let lamp = |light: usize| lamp_set(prepared, &vocabulary, light as u32);
+        let lamps = all(&mut (0..prepared.lights.len()).map(lamp));
+        // Ascending, so that what has no labels is the first.
+        let unique = |sets: &[LabelSet]| {
+            let all: BTreeSet<_> = sets.iter().copied().chain([LabelSet::default()]).collect();
+            all.into_iter().collect::<Vec<_>>()
         };
-        if vocabulary.labels().is_empty() {
-            return Ok(plan);
-        }
-        plan.objects = scene.objects.iter().map(|object| vocabulary.set(&[&object.name])).collect();
-        plan.materials = (0..prepared.materials.len())
-            .map(|material| vocabulary.set(&[prepared.material_name(material as u32)]))
-            .collect();
-        plan.media = scene.media.iter().map(|medium| vocabulary.set(&[&medium.name])).collect();
-        plan.lamps = (0..prepared.lights.len()).map(|light| lamp_set(prepared, &vocabulary, light as u32)).collect();
-        let unique = |sets: &[LabelSet]| sets.iter().copied().chain([LabelSet::default()]).collect::<BTreeSet<_>>();
-        let (objects, materials) = (unique(&plan.objects), unique(&plan.materials));
-        let surfaces = objects.iter().flat_map(|object| materials.iter().map(|material| object.union(*material)));
-        let sets = surfaces.chain(plan.media.iter().copied()).chain(plan.lamps.iter().copied());
-        plan.automaton = Automaton::new(layers, &vocabulary, sets)?;
-        Ok(plan)
+        let (rows, columns) = (unique(&objects), unique(&materials));
+        let surfaces: Vec<LabelSet> =
+            rows.iter().flat_map(|object| columns.iter().map(|material| object.union(*material))).collect();
+        let automaton = Automaton::new(layers, &vocabulary, surfaces.iter().chain(&media).chain(&lamps).copied())?;
+        let plain = automaton.labels(LabelSet::default()).unwrap_or_default();
+        let known = |sets: Vec<LabelSet>| sets.into_iter().map(|set| automaton.labels(set).unwrap_or(plain)).collect();
+        let place = |all: &[LabelSet], set: &LabelSet| all.partition_point(|one| one < set);
+        Ok(Self {
+            count: layers.len(),
+            plain,
+            are_alike: surfaces.iter().chain(&media).all(|set| *set == LabelSet::default()),
+            objects: objects.iter().map(|set| (place(&rows, set) * columns.len()) as u32).collect(),
+            materials: materials.iter().map(|set| place(&columns, set) as u32).collect(),
+            surfaces: known(surfaces),
+            media: known(media),
+            lamps: known(lamps),
+            automaton,
+        })
     }
 
     /// Number of layers.
@@ -89,22 +102,21 @@ impl LayerPlan {
         LayerTile::of_pixels(rect, samples, self.count as u32, &sums)
     }
 
-    /// Whether what things are called matters.
-    fn is_labelled(&self) -> bool {
-        !self.objects.is_empty() || !self.materials.is_empty()
+    #[inline]
+    fn surface(&self, object: Option<ObjectId>, material: u32) -> Labels {
+        let row = object.and_then(|object| self.objects.get(object.index())).copied().unwrap_or_default();
+        let column = self.materials.get(material as usize).copied().unwrap_or_default();
+        self.surfaces.get((row + column) as usize).copied().unwrap_or(self.plain)
     }
 
-    fn surface(&self, object: Option<ObjectId>, material: u32) -> LabelSet {
-        let object = object.and_then(|object| self.objects.get(object.index())).copied().unwrap_or_default();
-        object.union(self.materials.get(material as usize).copied().unwrap_or_default())
+    #[inline]
+    fn medium(&self, medium: u16) -> Labels {
+        self.media.get(usize::from(medium)).copied().unwrap_or(self.plain)
     }
 
-    fn medium(&self, medium: u16) -> LabelSet {
-        self.media.get(usize::from(medium)).copied().unwrap_or_default()
-    }
-
-    fn lamp(&self, light: Option<u32>) -> LabelSet {
-        light.and_then(|light| self.lamps.get(light as usize)).copied().unwrap_or_default()
+    #[inline]
+    fn lamp(&self, light: Option<u32>) -> Labels {
+        light.and_then(|light| self.lamps.get(light as usize)).copied().unwrap_or(self.plain)
     }
 }
 

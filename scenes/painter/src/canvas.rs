@@ -1,0 +1,213 @@
+//! Paper or canvas at twice the picture's size, and strokes on it.
+
+use femc_film::Picture;
+
+/// Canvas pixels to a picture's pixel, each way.
+pub const FINE: usize = 2;
+
+/// A point of a stroke, in the picture's pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dab {
+    /// Column.
+    pub x: f32,
+    /// Row.
+    pub y: f32,
+    /// Half the width of the stroke there.
+    pub radius: f32,
+}
+
+/// Where a stroke meets a pixel of the canvas.
+#[derive(Clone, Copy, Debug)]
+pub struct Touch {
+    /// Number of the canvas's pixel.
+    pub at: usize,
+    /// Position in the picture's pixels.
+    pub x: f32,
+    /// Row.
+    pub y: f32,
+    /// Part of the pixel that is covered, 0..1.
+    pub cover: f32,
+    /// Length of the stroke up to here, the picture's pixels.
+    pub along: f32,
+    /// From -1 at one border to 1 at the other.
+    pub across: f32,
+}
+
+/// What is known of a pixel while a stroke goes over it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Mark {
+    cover: f32,
+    /// How far within the stroke, of its nearest point.
+    within: f32,
+    along: f32,
+    across: f32,
+}
+
+/// Colors are sRGB in 0..1.
+#[derive(Clone, Debug)]
+pub struct Canvas {
+    /// Columns of the canvas.
+    pub width: usize,
+    /// Rows of the canvas.
+    pub height: usize,
+    /// Its pixels.
+    pub pixels: Vec<[f32; 3]>,
+    marks: Vec<Mark>,
+}
+
+impl Canvas {
+    /// A canvas for a picture of so many pixels.
+    pub fn new(width: usize, height: usize, paper: [f32; 3]) -> Self {
+        let (width, height) = (FINE * width, FINE * height);
+        Self { width, height, pixels: vec![paper; width * height], marks: vec![Mark::default(); width * height] }
+    }
+
+    /// Center of a pixel of the canvas, in the picture's pixels.
+    pub fn position(&self, at: usize) -> (f32, f32) {
+        let center = |n: usize| (n as f32 + 0.5) / FINE as f32;
+        (center(at % self.width), center(at / self.width))
+    }
+
+    /// The pixels that a stroke through `dabs` covers, each once, from the top left.
+    pub fn touched(&mut self, dabs: &[Dab]) -> Vec<Touch> {
+        let mut touched = Vec::new();
+        let mut along = 0.0;
+        let only = dabs.first().map(|dab| [*dab, *dab]);
+        let pairs = dabs.windows(2).map(|pair| [pair[0], pair[1]]);
+        for [a, b] in pairs.chain(only.filter(|_| dabs.len() == 1)) {
+            let (dx, dy) = (b.x - a.x, b.y - a.y);
+            let length = (dx * dx + dy * dy).sqrt();
+            let most = a.radius.max(b.radius) + 1.0;
+            let fine = FINE as f32;
+            let span = |from: f32, to: f32, end: usize| {
+                let low = ((from.min(to) - most) * fine).max(0.0) as usize;
+                low.min(end)..(((from.max(to) + most) * fine).max(0.0) as usize + 1).min(end)
+            };
+            for row in span(a.y, b.y, self.height) {
+                for column in span(a.x, b.x, self.width) {
+                    let at = row * self.width + column;
+                    let (x, y) = self.position(at);
+                    let (u, v) = (x - a.x, y - a.y);
+                    let t = if length > 0.0 { ((u * dx + v * dy) / (length * length)).clamp(0.0, 1.0) } else { 0.0 };
+                    let (ox, oy) = (u - t * dx, v - t * dy);
+                    let off = (ox * ox + oy * oy).sqrt();
+                    let radius = a.radius + t * (b.radius - a.radius);
+                    let cover = ((radius - off) * fine + 0.5).clamp(0.0, 1.0);
+                    let mark = &mut self.marks[at];
+                    if cover == 0.0 || (mark.cover > 0.0 && radius - off <= mark.within) {
+                        continue;
+                    }
+                    if mark.cover == 0.0 {
+                        touched.push(at);
+                    }
+                    let side = if dx * v - dy * u < 0.0 { -1.0 } else { 1.0 };
+                    let across = side * (off / radius.max(1e-3)).min(1.0);
+                    *mark = Mark { cover, within: radius - off, along: along + t * length, across };
+                }
+            }
+            along += length;
+        }
+        touched.sort_unstable();
+        let touch = |at: usize| {
+            let Mark { cover, along, across, .. } = std::mem::take(&mut self.marks[at]);
+            let (x, y) = ((at % self.width) as f32, (at / self.width) as f32);
+            Touch { at, x: (x + 0.5) / FINE as f32, y: (y + 0.5) / FINE as f32, cover, along, across }
+        };
+        touched.into_iter().map(touch).collect()
+    }
+
+    /// Lays `color` over a pixel, `cover` of it.
+    pub fn lay(&mut self, at: usize, color: [f32; 3], cover: f32) {
+        self.pixels[at] = mix(self.pixels[at], color, cover);
+    }
+
+    /// Ink or glaze: what is there shines through, darkened by `color`.
+    pub fn glaze(&mut self, at: usize, color: [f32; 3], cover: f32) {
+        let pixel = &mut self.pixels[at];
+        (0..3).for_each(|i| pixel[i] *= 1.0 - cover * (1.0 - color[i]));
+    }
+
+    /// Of each pixel of the canvas that is `inside` how far the nearest one is that is not, in the picture's pixels; 0 outside.
+    /// Steps along rows, columns and diagonals are counted: up to 8 % too far.
+    pub fn depth_within(&self, inside: &[bool]) -> Vec<f32> {
+        const DIAGONAL: f32 = std::f32::consts::SQRT_2;
+        let (width, height) = (self.width as isize, self.height as isize);
+        let mut far: Vec<f32> = inside.iter().map(|&inside| if inside { 1e6 } else { 0.0 }).collect();
+        let near = [(-1, 0, 1.0), (0, -1, 1.0), (-1, -1, DIAGONAL), (1, -1, DIAGONAL)];
+        for sign in [1, -1] {
+            for n in 0..far.len() {
+                let at = if sign > 0 { n } else { far.len() - 1 - n };
+                let (column, row) = (at as isize % width, at as isize / width);
+                for (dx, dy, length) in near {
+                    let (x, y) = (column + sign * dx, row + sign * dy);
+                    if x >= 0 && x < width && y >= 0 && y < height {
+                        far[at] = far[at].min(far[(y * width + x) as usize] + length);
+                    }
+                }
+            }
+        }
+        far.into_iter().map(|steps| steps / FINE as f32).collect()
+    }
+
+    /// The picture: each pixel the mean of the canvas's.
+    pub fn picture(&self) -> Picture {
+        let (width, height) = (self.width / FINE, self.height / FINE);
+        let pixel = |at: usize| {
+            let (column, row) = (FINE * (at % width), FINE * (at / width));
+            let mut sum = [0.0f32; 3];
+            for y in row..row + FINE {
+                for x in column..column + FINE {
+                    (0..3).for_each(|i| sum[i] += self.pixels[y * self.width + x][i].clamp(0.0, 1.0));
+                }
+            }
+            sum.map(|s| (255.0 * s / (FINE * FINE) as f32 + 0.5) as u8)
+        };
+        Picture { width: width as u32, height: height as u32, pixels: (0..width * height).map(pixel).collect() }
+    }
+}
+
+/// From `a` to `b`.
+pub fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
+    std::array::from_fn(|i| a[i] + t * (b[i] - a[i]))
+}
+
+/// 0 below `from`, 1 above `to`, and smooth between; also downwards.
+pub fn ramp(from: f32, to: f32, x: f32) -> f32 {
+    let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// The line that follows a field of directions from `start`, both ways: points `step` apart, as long as `go` says so.
+/// - `direction`: of any length, either sign; zero where there is none;
+/// - `go`: whether a point, the nth from the start, is part of the line.
+pub fn follow(
+    start: [f32; 2],
+    step: f32,
+    direction: impl Fn(f32, f32) -> [f32; 2],
+    mut go: impl FnMut(f32, f32, usize) -> bool,
+) -> Vec<[f32; 2]> {
+    let mut line = Vec::new();
+    for way in [-1.0, 1.0] {
+        let [mut x, mut y] = start;
+        let mut last: Option<[f32; 2]> = None;
+        for n in 1.. {
+            let d = direction(x, y);
+            let length = (d[0] * d[0] + d[1] * d[1]).sqrt();
+            if length < 1e-6 {
+                break;
+            }
+            let sign = last.map_or(way, |l| if l[0] * d[0] + l[1] * d[1] < 0.0 { -1.0 } else { 1.0 });
+            let d = d.map(|c| sign * c / length);
+            (x, y, last) = (x + step * d[0], y + step * d[1], Some(d));
+            if !go(x, y, n) {
+                break;
+            }
+            line.push([x, y]);
+        }
+        if way < 0.0 {
+            line.reverse();
+            line.push(start);
+        }
+    }
+    line
+}

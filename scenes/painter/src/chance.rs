@@ -1,0 +1,37 @@
+//! Chance and noise without state: the same words, the same value.
+
+use femc_math::hash::{combine, mix32, unit_f32};
+
+/// In 0..1, by a hash of `words`.
+pub fn unit(words: &[u64]) -> f32 {
+    unit_f32((combine(words) >> 32) as u32)
+}
+
+/// In -1..1, by a hash of `words`.
+pub fn signed(words: &[u64]) -> f32 {
+    2.0 * unit(words) - 1.0
+}
+
+/// Smooth noise in -1..1, of which a feature is one unit wide.
+pub fn noise(seed: u32, x: f32, y: f32) -> f32 {
+    let (column, row) = (x.floor(), y.floor());
+    let (u, v) = (x - column, y - row);
+    let at = |dx: i32, dy: i32| {
+        let key = mix32(mix32((column as i32 + dx) as u32 ^ seed.wrapping_mul(0x9e37_79b9)) ^ (row as i32 + dy) as u32);
+        2.0 * unit_f32(key) - 1.0
+    };
+    let (s, t) = (u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v));
+    let top = at(0, 0) + s * (at(1, 0) - at(0, 0));
+    let bottom = at(0, 1) + s * (at(1, 1) - at(0, 1));
+    top + t * (bottom - top)
+}
+
+/// Noise of several sizes, about -1..1: features of one unit, a half, a quarter ..
+pub fn cloud(seed: u32, x: f32, y: f32, octaves: u32) -> f32 {
+    let (mut sum, mut weight, mut scale) = (0.0, 0.5, 1.0);
+    for octave in 0..octaves {
+        sum += weight * noise(seed + octave, x * scale, y * scale);
+        (weight, scale) = (weight * 0.5, scale * 2.03);
+    }
+    1.4 * sum
+}

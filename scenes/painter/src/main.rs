@@ -1,0 +1,53 @@
+//! `femc-painter`: see the crate's README.
+
+use femc_film::{exr, file};
+use femc_painter::{Guides, STYLES, Sight};
+use std::path::Path;
+use std::process::ExitCode;
+
+const USAGE: &str = "\
+usage: femc-painter guides FRAME.exr OUT.exr    guides of a frame that was rendered with `--layers guides`, in one small file
+       femc-painter paint GUIDES.exr DIR        paints DIR/hatching.png, watercolor.png, oil.png, cel.png";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let done = match arguments[..] {
+        ["guides", frame, out] => guides(Path::new(frame), Path::new(out)),
+        ["paint", guides, folder] => paint(Path::new(guides), Path::new(folder)),
+        ["--help" | "-h"] => {
+            println!("{USAGE}");
+            return ExitCode::SUCCESS;
+        }
+        _ => {
+            eprintln!("{USAGE}");
+            return ExitCode::from(2);
+        }
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("femc-painter: error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+type Done = Result<(), Box<dyn std::error::Error>>;
+
+fn guides(frame: &Path, out: &Path) -> Done {
+    let guides = Guides::of_frame(frame)?;
+    let mut attributes = exr::read_attributes(&frame.with_extension("layers.exr"))?;
+    attributes.retain(|name, _| name.starts_with(exr::ATTRIBUTE_PREFIX));
+    Ok(file::write_atomic(out, &guides.encode(&attributes)?)?)
+}
+
+fn paint(guides: &Path, folder: &Path) -> Done {
+    let sight = Sight::of(&Guides::read(guides)?)?;
+    for style in STYLES {
+        let path = folder.join(style.name).with_extension("png");
+        file::write_atomic(&path, &(style.paint)(&sight).to_png()?)?;
+        println!("{}", path.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,147 @@
+//! Outlines of objects, and of light and shadow on them, as lines.
+
+use crate::Sight;
+use crate::canvas::follow;
+
+/// Points of an outline are so far apart, pixels.
+pub const STEP: f32 = 1.0;
+/// Lines that come closer to each other are one.
+const APART: f32 = 3.0;
+
+/// A line, or a piece of one.
+#[derive(Clone, Debug)]
+pub struct Line {
+    /// The object that it is the outline of, the smaller one of the two that meet, or that it lies on.
+    pub object: u8,
+    /// Points, [`STEP`] apart.
+    pub points: Vec<[f32; 2]>,
+}
+
+/// The lines at which objects meet, each once, smoothed to a pixel or two.
+pub fn outlines(sight: &Sight) -> Vec<Line> {
+    let mut drawn = Near::new(sight.width, sight.height, APART);
+    let mut lines = Vec::new();
+    for object in (0..sight.curved.len() as u8).rev() {
+        let found = contours(sight, &inside(sight, object), 0.5, &mut drawn, |_, _| true);
+        lines.extend(found.into_iter().map(|points| Line { object, points }));
+    }
+    lines
+}
+
+/// The lines on which `plane` has the value `level`, on each object by itself.
+/// - `keep`: where there may be a line.
+pub fn levels(sight: &Sight, plane: &[f32], level: f32, keep: impl Fn(f32, f32) -> bool) -> Vec<Line> {
+    let mut lines = Vec::new();
+    for object in 0..sight.curved.len() as u8 {
+        let mut drawn = Near::new(sight.width, sight.height, APART);
+        let on_it = |x: f32, y: f32| sight.object[sight.at(x, y)] == object && keep(x, y);
+        let found = contours(sight, plane, level, &mut drawn, on_it);
+        lines.extend(found.into_iter().map(|points| Line { object, points }));
+    }
+    lines
+}
+
+fn contours(
+    sight: &Sight,
+    plane: &[f32],
+    level: f32,
+    drawn: &mut Near,
+    keep: impl Fn(f32, f32) -> bool,
+) -> Vec<Vec<[f32; 2]>> {
+    let mut lines = Vec::new();
+    let direction = |x: f32, y: f32| {
+        let value = |dx: f32, dy: f32| sight.smooth(plane, x + dx, y + dy);
+        let (gx, gy) = (0.5 * (value(1.0, 0.0) - value(-1.0, 0.0)), 0.5 * (value(0.0, 1.0) - value(0.0, -1.0)));
+        [-gy, gx]
+    };
+    for at in 0..plane.len() {
+        let (column, row) = (at % sight.width, at / sight.width);
+        let crossed = |next: usize| (plane[at] < level) != (plane[next] < level);
+        if !(column + 1 < sight.width && crossed(at + 1) || row + 1 < sight.height && crossed(at + sight.width)) {
+            continue;
+        }
+        let start = [column as f32 + 0.5, row as f32 + 0.5];
+        if !keep(start[0], start[1]) || !drawn.free(start[0], start[1], 0.0) {
+            continue;
+        }
+        let mut taken: Vec<[f32; 2]> = Vec::new();
+        let points = follow(start, STEP, direction, |x, y, n| {
+            let within = x > -1.0 && y > -1.0 && x < sight.width as f32 + 1.0 && y < sight.height as f32 + 1.0;
+            let met = taken.iter().rev().skip(8).any(|p| (p[0] - x).abs() + (p[1] - y).abs() < 1.5);
+            taken.push([x, y]);
+            within && n < 4000 && !met && keep(x, y) && drawn.free(x, y, 0.0)
+        });
+        if points.len() > 6 {
+            points.iter().for_each(|p| drawn.take(p[0], p[1]));
+            lines.push(points);
+        }
+    }
+    lines
+}
+
+/// 1 within the object, 0 without, and a slope between.
+fn inside(sight: &Sight, object: u8) -> Vec<f32> {
+    let sharp: Vec<f32> = sight.object.iter().map(|&number| f32::from(u8::from(number == object))).collect();
+    let soft = blur(sight, &sharp);
+    blur(sight, &soft)
+}
+
+fn blur(sight: &Sight, plane: &[f32]) -> Vec<f32> {
+    let (width, height) = (sight.width, sight.height);
+    let mean = |at: usize| {
+        let (column, row) = (at % width, at / width);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for y in row.saturating_sub(1)..(row + 2).min(height) {
+            for x in column.saturating_sub(1)..(column + 2).min(width) {
+                sum += plane[y * width + x];
+                count += 1.0;
+            }
+        }
+        sum / count
+    };
+    (0..plane.len()).map(mean).collect()
+}
+
+/// Places that are taken, to keep lines apart.
+#[derive(Clone, Debug)]
+pub struct Near {
+    columns: usize,
+    rows: usize,
+    cell: f32,
+    places: Vec<Vec<[f32; 2]>>,
+}
+
+impl Near {
+    /// Of a picture of so many pixels: nothing is taken. `apart` is the most that can be asked for.
+    pub fn new(width: usize, height: usize, apart: f32) -> Self {
+        let cells = |pixels: usize| (pixels as f32 / apart) as usize + 1;
+        let (columns, rows) = (cells(width), cells(height));
+        Self { columns, rows, cell: apart, places: vec![Vec::new(); columns * rows] }
+    }
+
+    fn cell(&self, x: f32, y: f32) -> (usize, usize) {
+        let index = |v: f32, count: usize| ((v / self.cell).max(0.0) as usize).min(count - 1);
+        (index(x, self.columns), index(y, self.rows))
+    }
+
+    /// Takes a place.
+    pub fn take(&mut self, x: f32, y: f32) {
+        let (column, row) = self.cell(x, y);
+        self.places[row * self.columns + column].push([x, y]);
+    }
+
+    /// Whether no taken place is closer than `apart`; 0: than the most.
+    pub fn free(&self, x: f32, y: f32, apart: f32) -> bool {
+        let apart = if apart > 0.0 { apart.min(self.cell) } else { self.cell };
+        let (column, row) = self.cell(x, y);
+        for r in row.saturating_sub(1)..(row + 2).min(self.rows) {
+            for c in column.saturating_sub(1)..(column + 2).min(self.columns) {
+                let close = |p: &[f32; 2]| (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y) < apart * apart;
+                if self.places[r * self.columns + c].iter().any(close) {
+                    return false;
+                }
+            }
+        }
+        true
+    }
+}

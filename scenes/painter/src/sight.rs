@@ -1,0 +1,268 @@
+//! What a painter sees: objects and their forms, and on them light, bounced light and gloss apart.
+
+use crate::{Guides, PainterError};
+use femc_film::{Image, ToneCurve, tone};
+use femc_math::elementary::tan;
+use std::collections::BTreeMap;
+
+/// Half the angle that the picture is taken to span, degrees: depth alone does not tell. Forms look flatter or rounder where it is wrong.
+const HALF_VIEW: f32 = 15.0;
+/// Albedos of neighbors that differ by less, in all channels together, are of one object.
+const SAME: f32 = 0.03;
+/// Objects of fewer pixels are taken to be part of what is around them: edges of mixed pixels, mostly.
+const SMALL: usize = 60;
+
+/// All planes are row by row and of the picture's size. Positions are in pixels: the center of the first pixel is (0.5, 0.5).
+#[derive(Clone, Debug)]
+pub struct Sight {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// The picture as it is shown, sRGB in 0..1.
+    pub shown: Vec<[f32; 3]>,
+    /// Luma of that.
+    pub tone: Vec<f32>,
+    /// Color of the surface itself, sRGB in 0..1.
+    pub local: Vec<[f32; 3]>,
+    /// How much light falls straight onto the surface; 1: as much as where it is lightest.
+    pub light: Vec<f32>,
+    /// The same relative to where the object itself is lightest.
+    pub lit: Vec<f32>,
+    /// Light that comes by other surfaces, in the same unit.
+    pub bounce: Vec<f32>,
+    /// Strength of the highlight, 0..1.
+    pub gloss: Vec<f32>,
+    /// Unit normal: x to the right, y down, z to the eye.
+    pub normal: Vec<[f32; 3]>,
+    /// Number of the object; the largest one is 0.
+    pub object: Vec<u8>,
+    /// How curved each object is: 0 for a plane, about 0.5 for a ball.
+    pub curved: Vec<f32>,
+}
+
+impl Sight {
+    /// Looks at a render.
+    /// - errors: there is no direct light in it.
+    pub fn of(guides: &Guides) -> Result<Self, PainterError> {
+        let (width, height) = (guides.width as usize, guides.height as usize);
+        let [full, direct, specular, _, bounced] = &guides.layers;
+        let image = Image { width: guides.width, height: guides.height, pixels: full.clone() };
+        let curve = ToneCurve::auto([&image]);
+        let shown: Vec<_> = full.iter().map(|&color| curve.display(color)).collect();
+        let fallen = |layer: &[[f32; 3]]| -> Vec<f32> {
+            layer.iter().zip(&guides.albedo).map(|(&light, &albedo)| luma(light) / luma(albedo).max(0.02)).collect()
+        };
+        let (mut light, mut bounce) = (fallen(direct), fallen(bounced));
+        let most = high(&light);
+        if !(most > 0.0 && most.is_finite()) {
+            return Err(PainterError::Dark);
+        }
+        light.iter_mut().chain(&mut bounce).for_each(|value| *value /= most);
+        let mut gloss: Vec<f32> = specular.iter().map(|&color| luma(color)).collect();
+        // A highlight is one where it is as light as what is lit beside it.
+        let glaring = gloss
+            .iter()
+            .copied()
+            .fold(0.0, f32::max)
+            .max(0.2 * high(&direct.iter().map(|&c| luma(c)).collect::<Vec<_>>()));
+        gloss.iter_mut().for_each(|value| *value /= glaring);
+        let object = objects(width, height, &guides.albedo);
+        let normal = normals(width, height, &guides.depth, &object);
+        let lit = relative(&light, &object);
+        let curved = curvedness(&normal, &object);
+        Ok(Self {
+            width,
+            height,
+            tone: shown.iter().map(|&color| luma(color)).collect(),
+            shown,
+            local: guides.albedo.iter().map(|color| color.map(|c| tone::srgb(c.clamp(0.0, 1.0)))).collect(),
+            light,
+            lit,
+            bounce,
+            gloss,
+            normal,
+            object,
+            curved,
+        })
+    }
+
+    /// Index of the pixel at a position; the nearest one of positions outside.
+    pub fn at(&self, x: f32, y: f32) -> usize {
+        let column = x.clamp(0.0, (self.width - 1) as f32) as usize;
+        let row = y.clamp(0.0, (self.height - 1) as f32) as usize;
+        row * self.width + column
+    }
+
+    /// A plane's value between the centers of pixels.
+    pub fn smooth(&self, plane: &[f32], x: f32, y: f32) -> f32 {
+        let (x, y) = ((x - 0.5).clamp(0.0, (self.width - 1) as f32), (y - 0.5).clamp(0.0, (self.height - 1) as f32));
+        let (column, row) =
+            ((x as usize).min(self.width.saturating_sub(2)), (y as usize).min(self.height.saturating_sub(2)));
+        let (u, v) = (x - column as f32, y - row as f32);
+        let (right, below) = ((column + 1).min(self.width - 1), (row + 1).min(self.height - 1));
+        let value = |column: usize, row: usize| plane[row * self.width + column];
+        let top = value(column, row) + u * (value(right, row) - value(column, row));
+        let bottom = value(column, below) + u * (value(right, below) - value(column, below));
+        top + v * (bottom - top)
+    }
+
+    /// A plane blurred within objects: the mean of a square of so many pixels to each side.
+    pub fn blurred(&self, plane: &[f32], radius: usize) -> Vec<f32> {
+        within(self.width, self.height, &self.object, radius, |at, sum: &mut (f32, f32)| {
+            sum.0 += plane[at];
+            sum.1 += 1.0;
+        })
+        .into_iter()
+        .map(|(sum, count)| sum / count)
+        .collect()
+    }
+}
+
+/// Rec.709 luma or luminance.
+pub fn luma(color: [f32; 3]) -> f32 {
+    0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
+}
+
+/// The value that one in fifty exceeds.
+fn high(values: &[f32]) -> f32 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f32::total_cmp);
+    sorted.get(sorted.len() * 49 / 50).copied().unwrap_or(0.0)
+}
+
+fn relative(light: &[f32], object: &[u8]) -> Vec<f32> {
+    let count = object.iter().copied().max().map_or(0, |most| usize::from(most) + 1);
+    let most = |number: usize| {
+        let of_it = light.iter().zip(object).filter(|(_, o)| usize::from(**o) == number);
+        high(&of_it.map(|(&light, _)| light).collect::<Vec<_>>()).max(1e-3)
+    };
+    let most: Vec<f32> = (0..count).map(most).collect();
+    light.iter().zip(object).map(|(light, &number)| light / most[usize::from(number)]).collect()
+}
+
+/// Of each pixel what `add` makes of those in the square around it that are of its object.
+fn within<T: Clone + Default>(
+    width: usize,
+    height: usize,
+    object: &[u8],
+    radius: usize,
+    add: impl Fn(usize, &mut T),
+) -> Vec<T> {
+    let mut sums = vec![T::default(); width * height];
+    for (at, sum) in sums.iter_mut().enumerate() {
+        let (column, row) = (at % width, at / width);
+        for y in row.saturating_sub(radius)..(row + radius + 1).min(height) {
+            for x in column.saturating_sub(radius)..(column + radius + 1).min(width) {
+                if object[y * width + x] == object[at] {
+                    add(y * width + x, sum);
+                }
+            }
+        }
+    }
+    sums
+}
+
+/// Regions of like albedo, by size; small ones go to a neighbor.
+fn objects(width: usize, height: usize, albedo: &[[f32; 3]]) -> Vec<u8> {
+    const NONE: usize = usize::MAX;
+    let mut region = vec![NONE; width * height];
+    let mut sizes = Vec::new();
+    let neighbors = |at: usize| {
+        let (column, row) = (at % width, at / width);
+        let left = (column > 0).then(|| at - 1);
+        let right = (column + 1 < width).then(|| at + 1);
+        let above = (row > 0).then(|| at - width);
+        let below = (row + 1 < height).then(|| at + width);
+        [left, right, above, below].into_iter().flatten()
+    };
+    for start in 0..region.len() {
+        if region[start] != NONE {
+            continue;
+        }
+        let number = sizes.len();
+        let mut size = 0;
+        let mut open = vec![start];
+        region[start] = number;
+        while let Some(at) = open.pop() {
+            size += 1;
+            for next in neighbors(at) {
+                let unlike: f32 = (0..3).map(|i| (albedo[at][i] - albedo[next][i]).abs()).sum();
+                if region[next] == NONE && unlike < SAME {
+                    region[next] = number;
+                    open.push(next);
+                }
+            }
+        }
+        sizes.push(size);
+    }
+    let mut order: Vec<usize> = (0..sizes.len()).collect();
+    order.sort_by_key(|&number| std::cmp::Reverse(sizes[number]));
+    let kept: BTreeMap<usize, u8> = order
+        .iter()
+        .enumerate()
+        .filter(|(rank, number)| *rank == 0 || (*rank < 250 && sizes[**number] >= SMALL))
+        .map(|(rank, &number)| (number, rank as u8))
+        .collect();
+    let mut object: Vec<Option<u8>> = region.iter().map(|number| kept.get(number).copied()).collect();
+    while object.iter().any(Option::is_none) {
+        let grown: Vec<_> =
+            (0..object.len()).map(|at| object[at].or_else(|| neighbors(at).find_map(|n| object[n]))).collect();
+        object = grown;
+    }
+    object.into_iter().map(|number| number.unwrap_or(0)).collect()
+}
+
+fn normals(width: usize, height: usize, depth: &[f32], object: &[u8]) -> Vec<[f32; 3]> {
+    let scale = 2.0 * tan(HALF_VIEW.to_radians()) / width as f32;
+    let place = |at: usize| {
+        let (x, y) =
+            (scale * ((at % width) as f32 - 0.5 * width as f32), scale * ((at / width) as f32 - 0.5 * height as f32));
+        let far = depth[at] / (1.0 + x * x + y * y).sqrt();
+        [far * x, far * y, -far]
+    };
+    // From the farthest pixel of the object on one side to that on the other, three away at most.
+    let along = |at: usize, forth: usize, room: [usize; 2], step: usize| {
+        let reach = |steps: usize, sign: isize| {
+            (1..=steps.min(forth))
+                .map(|n| at.wrapping_add_signed(sign * (n * step) as isize))
+                .take_while(|&p| object[p] == object[at])
+                .last()
+                .unwrap_or(at)
+        };
+        let (a, b) = (place(reach(room[0], -1)), place(reach(room[1], 1)));
+        [b[0] - a[0], b[1] - a[1], b[2] - a[2]]
+    };
+    let rough: Vec<[f32; 3]> = (0..depth.len())
+        .map(|at| {
+            let (column, row) = (at % width, at / width);
+            let u = along(at, 3, [column, width - 1 - column], 1);
+            let v = along(at, 3, [row, height - 1 - row], width);
+            unit([v[1] * u[2] - v[2] * u[1], v[2] * u[0] - v[0] * u[2], v[0] * u[1] - v[1] * u[0]])
+        })
+        .collect();
+    let sums = within(width, height, object, 3, |at, sum: &mut [f32; 3]| (0..3).for_each(|i| sum[i] += rough[at][i]));
+    sums.into_iter().map(unit).collect()
+}
+
+/// The unit vector of a direction, towards the eye; of none it is that to the eye.
+fn unit(v: [f32; 3]) -> [f32; 3] {
+    let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+    if !(length > 0.0 && length.is_finite()) {
+        return [0.0, 0.0, 1.0];
+    }
+    let sign = if v[2] < 0.0 { -1.0 } else { 1.0 };
+    v.map(|c| sign * c / length)
+}
+
+fn curvedness(normal: &[[f32; 3]], object: &[u8]) -> Vec<f32> {
+    let count = object.iter().copied().max().map_or(0, |most| usize::from(most) + 1);
+    let mut sums = vec![([0.0f32; 3], 0.0f32); count];
+    for (n, &number) in normal.iter().zip(object) {
+        let (sum, pixels) = &mut sums[usize::from(number)];
+        (0..3).for_each(|i| sum[i] += n[i]);
+        *pixels += 1.0;
+    }
+    let length = |v: [f32; 3]| (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+    sums.into_iter().map(|(sum, pixels)| 1.0 - length(sum) / pixels.max(1.0)).collect()
+}

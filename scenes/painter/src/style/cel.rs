@@ -1,0 +1,249 @@
+//! Cel with outlines: few flat tones of gouache with the marks of a flat brush, shadows cold and warmed from below, and brush-pen
+//! lines that swell towards the dark, feathered where shadow begins.
+
+use crate::canvas::{Canvas, Dab, follow, mix, ramp};
+use crate::outline::{Line, Near, levels, outlines};
+use crate::sight::luma;
+use crate::{Sight, chance};
+use femc_film::Picture;
+use femc_math::hash::combine;
+
+const INK: [f32; 3] = [0.09, 0.07, 0.13];
+/// Light below which a thing is in half shadow, and in shadow.
+const HALF: f32 = 0.60;
+const SHADOW: f32 = 0.16;
+/// Highlight.
+const SHINE: f32 = 0.42;
+
+/// Paints.
+pub fn paint(sight: &Sight) -> Picture {
+    let mut cel = Cel {
+        sight,
+        canvas: Canvas::new(sight.width, sight.height, [0.5; 3]),
+        lit: sight.blurred(&sight.lit, 2),
+        bounce: sight.blurred(&sight.bounce, 2),
+    };
+    cel.flats();
+    cel.brush();
+    cel.edges();
+    cel.feathers();
+    cel.lines();
+    cel.canvas.picture()
+}
+
+struct Cel<'a> {
+    sight: &'a Sight,
+    canvas: Canvas,
+    lit: Vec<f32>,
+    bounce: Vec<f32>,
+}
+
+/// What a place is filled with, from the darkest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Tone {
+    Deep,
+    Shadow,
+    Reflected,
+    Half,
+    Full,
+    Shine,
+}
+
+impl Cel<'_> {
+    fn tone(&self, x: f32, y: f32) -> Tone {
+        let sway = |seed: u32, size: f32| chance::noise(seed, x / size, y / size);
+        let (u, v) = (x + 0.9 * sway(1, 17.0), y + 0.9 * sway(2, 17.0));
+        let lit = self.sight.smooth(&self.lit, u, v);
+        let bounce = self.sight.smooth(&self.bounce, u, v);
+        if self.sight.smooth(&self.sight.gloss, u, v) > SHINE {
+            Tone::Shine
+        } else if lit > HALF {
+            Tone::Full
+        } else if lit > SHADOW {
+            Tone::Half
+        } else if bounce > 0.085 {
+            Tone::Reflected
+        } else if bounce < 0.0095 && lit < 0.06 {
+            Tone::Deep
+        } else {
+            Tone::Shadow
+        }
+    }
+
+    fn color(&self, at: usize, tone: Tone) -> [f32; 3] {
+        let local = self.sight.local[at];
+        let gray = luma(local);
+        let rich = local.map(|c| (gray + 2.1 * (c - gray)).clamp(0.02, 1.0));
+        let tinted = |tint: [f32; 3], much: f32, bright: f32| mix(rich.map(|c| bright * c), tint, much);
+        match tone {
+            Tone::Shine => [1.0, 0.99, 0.95],
+            Tone::Full => tinted([1.0, 0.93, 0.70], 0.22, 1.16),
+            Tone::Half => tinted([0.78, 0.44, 0.38], 0.20, 0.90),
+            Tone::Reflected => tinted([0.74, 0.30, 0.16], 0.42, 0.66),
+            Tone::Shadow => tinted([0.24, 0.19, 0.46], 0.50, 0.54),
+            Tone::Deep => tinted([0.11, 0.10, 0.24], 0.72, 0.35),
+        }
+    }
+
+    fn flats(&mut self) {
+        for at in 0..self.canvas.pixels.len() {
+            let (x, y) = self.canvas.position(at);
+            let (u, v) = (0.5 * chance::noise(3, x / 9.0, y / 9.0), 0.5 * chance::noise(4, x / 9.0, y / 9.0));
+            let pixel = self.sight.at(x + u, y + v);
+            let grain = 0.012 * chance::noise(6, x / 0.9, y / 0.9) + 0.018 * chance::cloud(7, x / 40.0, y / 40.0, 2);
+            self.canvas.pixels[at] = self.color(pixel, self.tone(x, y)).map(|c| c + grain);
+        }
+    }
+
+    fn along(&self, x: f32, y: f32) -> [f32; 2] {
+        let at = self.sight.at(x, y);
+        let n = self.sight.normal[at];
+        let axis = [0.50f32, -0.75, 0.43];
+        if self.sight.curved[usize::from(self.sight.object[at])] > 0.05 {
+            [n[1] * axis[2] - n[2] * axis[1], n[2] * axis[0] - n[0] * axis[2]]
+        } else if n[1] < -0.6 {
+            [1.0, 0.04]
+        } else {
+            [1.0, -0.55]
+        }
+    }
+
+    /// Strokes of a flat brush within each tone, a little lighter or darker.
+    fn brush(&mut self) {
+        let sight = self.sight;
+        let step = 5.0;
+        let columns = (sight.width as f32 / step) as u64 + 1;
+        let rows = (sight.height as f32 / step) as u64 + 1;
+        let mut seeds: Vec<u64> = (0..columns * rows).collect();
+        seeds.sort_by_key(|&seed| combine(&[30, seed]));
+        for seed in seeds {
+            let word = |word: u64| chance::signed(&[31, seed, word]);
+            let x = ((seed % columns) as f32 + 0.5 + 0.5 * word(1)) * step;
+            let y = ((seed / columns) as f32 + 0.5 + 0.5 * word(2)) * step;
+            let (tone, at) = (self.tone(x, y), sight.at(x, y));
+            if tone == Tone::Shine {
+                continue;
+            }
+            let object = sight.object[at];
+            let round = sight.curved[usize::from(object)] > 0.05;
+            let longest = if round { 7.0 } else { 9.0 } + 4.0 * word(3);
+            let line = follow(
+                [x, y],
+                1.5,
+                |x, y| self.along(x, y),
+                |x, y, n| n as f32 <= longest && sight.object[sight.at(x, y)] == object && self.tone(x, y) == tone,
+            );
+            let wide = 2.3 + 0.8 * word(4);
+            let dabs: Vec<Dab> = line.iter().map(|&[x, y]| Dab { x, y, radius: wide }).collect();
+            let (light, warm) = (0.05 * word(5), 0.025 * word(6));
+            let color = self.color(at, tone);
+            let paint = [color[0] + light + warm, color[1] + light, color[2] + light - warm];
+            let key = combine(&[32, seed]) as u32;
+            let touches = self.canvas.touched(&dabs);
+            for touch in touches {
+                let hair = chance::noise(key, 3.5 * touch.across, touch.along / 14.0);
+                let dry = ramp(-0.55, 0.15, hair + 0.35 * chance::noise(33, touch.x / 1.2, touch.y / 1.2));
+                if self.tone(touch.x, touch.y) == tone && sight.object[sight.at(touch.x, touch.y)] == object {
+                    self.canvas.lay(touch.at, paint, touch.cover * 0.8 * dry);
+                }
+            }
+        }
+    }
+
+    /// A thin dark line where a cast shadow begins.
+    fn edges(&mut self) {
+        let (sight, lit) = (self.sight, self.lit.clone());
+        let steep = |x: f32, y: f32| {
+            let value = |u: f32, v: f32| sight.smooth(&lit, x + u, y + v);
+            let (gx, gy) = (value(3.0, 0.0) - value(-3.0, 0.0), value(0.0, 3.0) - value(0.0, -3.0));
+            (gx * gx + gy * gy).sqrt()
+        };
+        let lines = levels(sight, &lit, SHADOW, |x, y| steep(x, y) > 0.30);
+        self.pen(&lines, 60, |_, _| 0.45);
+    }
+
+    /// Tapering strokes out of the shadow into the half shadow.
+    fn feathers(&mut self) {
+        let sight = self.sight;
+        let lit = self.lit.clone();
+        let slope = |x: f32, y: f32| {
+            let value = |u: f32, v: f32| sight.smooth(&lit, x + u, y + v);
+            [value(3.0, 0.0) - value(-3.0, 0.0), value(0.0, 3.0) - value(0.0, -3.0)]
+        };
+        let round = |x: f32, y: f32| sight.curved[usize::from(sight.object[sight.at(x, y)])] > 0.05;
+        for (number, (level, long)) in [(SHADOW, 17.0), (HALF, 11.0)].into_iter().enumerate() {
+            let mut taken = Near::new(sight.width, sight.height, 4.6);
+            for line in levels(sight, &lit, level, round) {
+                for (n, &[x, y]) in line.points.iter().enumerate() {
+                    let word = |word: u64| chance::signed(&[50, number as u64, n as u64, word]);
+                    if !taken.free(x, y, 0.0) {
+                        continue;
+                    }
+                    taken.take(x, y);
+                    let [gx, gy] = slope(x, y);
+                    let steep = (gx * gx + gy * gy).sqrt().max(1e-4);
+                    let length = long * (0.75 + 0.35 * word(1));
+                    // Strokes lean, and bend with the form.
+                    let (dx, dy) = ((gx - 0.35 * gy) / steep, (gy + 0.35 * gx) / steep);
+                    let dabs: Vec<Dab> = (0..=8)
+                        .map(|n| {
+                            let t = n as f32 / 8.0;
+                            let (far, bend) = ((t - 0.3) * length, 1.6 * t * t);
+                            let (px, py) = (x + far * dx - bend * dy, y + far * dy + bend * dx);
+                            let full = if number == 0 { 1.15 } else { 0.75 };
+                            Dab { x: px, y: py, radius: (full * ramp(0.0, 0.25, t) * (1.0 - t) + 0.08).max(0.0) }
+                        })
+                        .collect();
+                    let object = sight.object[sight.at(x, y)];
+                    let color = if number == 0 {
+                        self.color(sight.at(x, y), Tone::Shadow)
+                    } else {
+                        self.color(sight.at(x, y), Tone::Half)
+                    };
+                    for touch in self.canvas.touched(&dabs) {
+                        if sight.object[sight.at(touch.x, touch.y)] == object {
+                            self.canvas.lay(touch.at, color, touch.cover * 0.92);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Outlines.
+    fn lines(&mut self) {
+        let sight = self.sight;
+        let lit = self.lit.clone();
+        let outlines = outlines(sight);
+        self.pen(&outlines, 70, |x, y| {
+            let around = [(3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (0.0, -3.0)];
+            let darkest = around.map(|(u, v)| sight.smooth(&lit, x + u, y + v)).into_iter().fold(1.0, f32::min);
+            0.55 + 1.25 * ramp(0.75, 0.0, darkest)
+        });
+    }
+
+    /// Lines of a brush pen, each in a few goes that taper at both ends.
+    fn pen(&mut self, lines: &[Line], seed: u64, radius: impl Fn(f32, f32) -> f32) {
+        for line in lines {
+            for (number, start) in (0..line.points.len()).step_by(70).enumerate() {
+                let piece = &line.points[start.saturating_sub(4)..(start + 74).min(line.points.len())];
+                let word = |word: u64| chance::signed(&[seed, line.object.into(), number as u64, word]);
+                let dabs: Vec<Dab> = piece
+                    .iter()
+                    .enumerate()
+                    .map(|(n, &[x, y])| {
+                        let end = (n.min(piece.len() - 1 - n)) as f32;
+                        let pressed = (0.35 + 0.65 * ramp(0.0, 14.0, end))
+                            * (1.0 + 0.22 * chance::noise(seed as u32, x / 9.0, y / 9.0));
+                        let off = 0.35 * word(1);
+                        Dab { x: x + off, y: y - off, radius: radius(x, y) * pressed }
+                    })
+                    .collect();
+                for touch in self.canvas.touched(&dabs) {
+                    let dry = ramp(-1.0, -0.5, chance::noise(9, touch.x / 1.4, touch.y / 1.4));
+                    self.canvas.lay(touch.at, INK, touch.cover * (0.75 + 0.22 * dry));
+                }
+            }
+        }
+    }
+}

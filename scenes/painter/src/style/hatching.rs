@@ -1,0 +1,184 @@
+//! Pen and ink: strokes along the form on toned paper, crossed by further layers where it is darker, in a warm ink in the half
+//! shadow and a cold one in the dark. Highlights and what is well lit stay paper. The strokes of a layer are streamlines that keep
+//! their distance (\[jobard1997\]).
+
+use crate::canvas::{Canvas, Dab, follow, mix, ramp};
+use crate::outline::{Near, STEP, outlines};
+use crate::{Sight, chance};
+use femc_film::Picture;
+use femc_math::elementary::pow;
+
+const PAPER: [f32; 3] = [0.965, 0.935, 0.865];
+const SEPIA: [f32; 3] = [0.44, 0.24, 0.13];
+const UMBER: [f32; 3] = [0.24, 0.15, 0.14];
+const INDIGO: [f32; 3] = [0.10, 0.14, 0.36];
+
+/// Strokes of one direction.
+struct Layer {
+    /// Darkness from which on there are strokes.
+    from: f32,
+    /// Pixels from stroke to stroke.
+    apart: f32,
+    ink: [f32; 3],
+    /// Axis about which strokes run around round things.
+    axis: [f32; 3],
+    /// Direction on things that lie, and on things that stand.
+    lying: [f32; 2],
+    standing: [f32; 2],
+}
+
+const LAYERS: [Layer; 5] = [
+    Layer { from: 0.20, apart: 4.6, ink: SEPIA, axis: [0.42, -0.86, 0.30], lying: [1.0, 0.06], standing: [1.0, -0.95] },
+    Layer {
+        from: 0.42,
+        apart: 4.4,
+        ink: SEPIA,
+        axis: [-0.25, -0.90, 0.36],
+        lying: [1.0, -0.28],
+        standing: [1.0, -0.45],
+    },
+    Layer { from: 0.60, apart: 4.2, ink: UMBER, axis: [0.85, -0.42, 0.32], lying: [1.0, 0.42], standing: [0.25, -1.0] },
+    Layer {
+        from: 0.70,
+        apart: 3.7,
+        ink: INDIGO,
+        axis: [0.15, -0.80, -0.58],
+        lying: [0.9, -0.75],
+        standing: [1.0, 0.30],
+    },
+    Layer { from: 0.83, apart: 3.1, ink: INDIGO, axis: [0.70, 0.55, 0.45], lying: [1.0, 0.12], standing: [0.6, -1.0] },
+];
+
+/// Paints.
+pub fn paint(sight: &Sight) -> Picture {
+    let mut canvas = Canvas::new(sight.width, sight.height, PAPER);
+    for at in 0..canvas.pixels.len() {
+        let (x, y) = canvas.position(at);
+        let grain = 0.018 * tooth(x, y) + 0.02 * chance::cloud(5, x / 70.0, y / 50.0, 3);
+        canvas.pixels[at] = PAPER.map(|c| c + grain);
+    }
+    let dark = darkness(sight);
+    for (number, layer) in LAYERS.iter().enumerate() {
+        hatch(&mut canvas, sight, &dark, number as u64, layer);
+    }
+    contours(&mut canvas, sight, &dark);
+    canvas.picture()
+}
+
+/// How rough the paper is: about -1..1.
+fn tooth(x: f32, y: f32) -> f32 {
+    0.6 * chance::noise(11, x / 1.3, y / 1.3) + 0.5 * chance::noise(12, x / 3.1, y / 2.6)
+}
+
+/// What a draftsman makes of the light, 0..1: less of the colors of things, paper where it shines.
+fn darkness(sight: &Sight) -> Vec<f32> {
+    let value = |at: usize| {
+        let local = 0.6 + 0.4 * crate::sight::luma(sight.local[at]);
+        let lit = local * (0.5 * (sight.light[at] + sight.lit[at]) + 1.6 * sight.bounce[at]);
+        (1.06 - 1.08 * pow(lit.max(0.0), 0.62) - 1.2 * sight.gloss[at]).clamp(0.0, 1.0)
+    };
+    sight.blurred(&(0..sight.tone.len()).map(value).collect::<Vec<_>>(), 1)
+}
+
+fn direction(sight: &Sight, layer: &Layer, x: f32, y: f32) -> [f32; 2] {
+    let at = sight.at(x, y);
+    let (n, a) = (sight.normal[at], layer.axis);
+    if sight.curved[usize::from(sight.object[at])] > 0.05 {
+        [n[1] * a[2] - n[2] * a[1], n[2] * a[0] - n[0] * a[2]]
+    } else if n[1] < -0.6 {
+        layer.lying
+    } else {
+        layer.standing
+    }
+}
+
+fn hatch(canvas: &mut Canvas, sight: &Sight, dark: &[f32], number: u64, layer: &Layer) {
+    let step = 1.5;
+    let mut taken = Near::new(sight.width, sight.height, layer.apart);
+    let mut seeds: Vec<u64> = (0..(sight.width * sight.height / 4) as u64).collect();
+    seeds.sort_by_key(|&seed| femc_math::hash::combine(&[40, number, seed]));
+    let columns = (sight.width / 2) as u64;
+    for seed in seeds {
+        let word = |word: u64| chance::signed(&[41, number, seed, word]);
+        let (x, y) = (2.0 * (seed % columns) as f32 + 1.0 + word(1), 2.0 * (seed / columns) as f32 + 1.0 + word(2));
+        let object = sight.object[sight.at(x, y)];
+        // The hand begins and ends a little early or late.
+        let enough = layer.from + 0.07 * word(3);
+        let dark_at = |x: f32, y: f32| sight.smooth(dark, x, y);
+        if dark_at(x, y) < enough || !taken.free(x, y, 0.0) {
+            continue;
+        }
+        let longest = (19.0 + 9.0 * word(4)) / step;
+        let line = follow(
+            [x, y],
+            step,
+            |x, y| direction(sight, layer, x, y),
+            |x, y, n| {
+                let within = x > -2.0 && y > -2.0 && x < sight.width as f32 + 2.0 && y < sight.height as f32 + 2.0;
+                within
+                    && (n as f32) < longest
+                    && sight.object[sight.at(x, y)] == object
+                    && dark_at(x, y) > enough
+                    && taken.free(x, y, 0.5 * layer.apart)
+            },
+        );
+        if line.len() < 4 {
+            continue;
+        }
+        line.iter().for_each(|p| taken.take(p[0], p[1]));
+        let dabs: Vec<Dab> = line
+            .iter()
+            .enumerate()
+            .map(|(n, &[x, y])| {
+                let t = n as f32 / (line.len() - 1) as f32;
+                let pressed = ramp(0.0, 0.18, t) * ramp(1.0, 0.55, t);
+                let much = ramp(layer.from - 0.04, layer.from + 0.34, dark_at(x, y));
+                let sway = 0.35 * chance::noise(60 + number as u32, 0.11 * (x + 31.0 * word(5)), 0.11 * y);
+                Dab { x: x + sway, y: y - sway, radius: 0.16 + (0.16 + 0.40 * much) * pressed }
+            })
+            .collect();
+        ink(canvas, &dabs, own(layer.ink, sight.local[sight.at(x, y)]), 0.86 + 0.1 * word(6));
+    }
+}
+
+/// Ink of the pen for a thing of this color: a little of it is in the ink, the less the darker that is.
+fn own(ink: [f32; 3], local: [f32; 3]) -> [f32; 3] {
+    let gray = crate::sight::luma(local);
+    let mixed = std::array::from_fn(|i| (ink[i] + 0.9 * (local[i] - gray)).clamp(0.04, 0.7));
+    mix(ink, mixed, (4.5 * (crate::sight::luma(ink) - 0.1)).clamp(0.0, 0.8))
+}
+
+/// A stroke of the pen, which skips hollows of the paper.
+fn ink(canvas: &mut Canvas, dabs: &[Dab], color: [f32; 3], strength: f32) {
+    for touch in canvas.touched(dabs) {
+        let held = ramp(-0.95, -0.35, tooth(touch.x, touch.y));
+        canvas.glaze(touch.at, color, touch.cover * strength * (0.35 + 0.65 * held));
+    }
+}
+
+/// Outlines, heavy in the dark, lost in the light.
+fn contours(canvas: &mut Canvas, sight: &Sight, dark: &[f32]) {
+    for outline in outlines(sight) {
+        for (number, piece) in outline.points.chunks((26.0 / STEP) as usize).enumerate() {
+            // Two goes of the pen that do not quite meet.
+            for go in 0..2u64 {
+                let word = |word: u64| chance::signed(&[50, outline.object.into(), number as u64, go, word]);
+                let dabs: Vec<Dab> = piece
+                    .iter()
+                    .enumerate()
+                    .map(|(n, &[x, y])| {
+                        let t = n as f32 / piece.len() as f32;
+                        let darkest = [(2.5, 0.0), (-2.5, 0.0), (0.0, 2.5), (0.0, -2.5)]
+                            .map(|(u, v)| sight.smooth(dark, x + u, y + v))
+                            .into_iter()
+                            .fold(0.0, f32::max);
+                        let off = 0.5 * word(1) + 0.8 * word(2) * (t - 0.5);
+                        let pressed = 0.35 + 0.65 * ramp(0.0, 0.2, t) * ramp(1.0, 0.7, t);
+                        Dab { x: x + off, y: y - 0.6 * off, radius: (0.26 + 0.55 * ramp(0.15, 0.8, darkest)) * pressed }
+                    })
+                    .collect();
+                ink(canvas, &dabs, UMBER, 0.9);
+            }
+        }
+    }
+}

@@ -1,0 +1,6 @@
+//! Styles, a file each.
+
+pub mod cel;
+pub mod hatching;
+pub mod oil;
+pub mod watercolor;

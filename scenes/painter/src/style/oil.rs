@@ -1,0 +1,250 @@
+//! Oil on canvas: coarse strokes first and finer ones where the painting is not like what is seen yet (\[hertzmann1998\]), along forms
+//! and contours, of bristles that leave ridges. Lights are warm, shadows violet, light thrown back glows in them.
+
+use crate::canvas::{Canvas, Dab, FINE, follow, mix, ramp};
+use crate::sight::luma;
+use crate::{Sight, chance};
+use femc_film::Picture;
+use femc_math::hash::combine;
+
+/// What the canvas is primed with, and shows between strokes.
+const GROUND: [f32; 3] = [0.47, 0.31, 0.22];
+
+struct Brush {
+    /// Half the width, pixels.
+    radius: f32,
+    /// Longest stroke, in half widths.
+    long: f32,
+    /// Difference of colors from which on it is taken up.
+    unlike: f32,
+    /// How different in color the paint of two strokes may be.
+    broken: f32,
+    /// How thick the paint is.
+    body: f32,
+}
+
+const BRUSHES: [Brush; 4] = [
+    Brush { radius: 7.5, long: 7.0, unlike: 0.0, broken: 0.075, body: 0.7 },
+    Brush { radius: 4.2, long: 8.0, unlike: 0.045, broken: 0.07, body: 0.9 },
+    Brush { radius: 2.5, long: 9.0, unlike: 0.06, broken: 0.06, body: 1.0 },
+    Brush { radius: 1.4, long: 9.0, unlike: 0.085, broken: 0.04, body: 1.2 },
+];
+
+/// Paints.
+pub fn paint(sight: &Sight) -> Picture {
+    let mut painting = Painting {
+        sight,
+        wanted: wanted(sight),
+        canvas: Canvas::new(sight.width, sight.height, GROUND),
+        height: Vec::new(),
+    };
+    painting.prime();
+    for (number, brush) in BRUSHES.iter().enumerate() {
+        painting.go_over(number as u64, brush);
+    }
+    painting.glance();
+    painting.light_it();
+    painting.canvas.picture()
+}
+
+struct Painting<'a> {
+    sight: &'a Sight,
+    wanted: Vec<[f32; 3]>,
+    canvas: Canvas,
+    /// Of the paint on each pixel of the canvas.
+    height: Vec<f32>,
+}
+
+/// The colors that a painter sees into the light.
+fn wanted(sight: &Sight) -> Vec<[f32; 3]> {
+    const LIT: [f32; 3] = [1.06, 0.98, 0.82];
+    const COLD: [f32; 3] = [0.20, 0.19, 0.36];
+    const GLOW: [f32; 3] = [0.60, 0.31, 0.07];
+    let color = |at: usize| {
+        let local = sight.local[at];
+        // More color than there is.
+        let gray = luma(local);
+        let rich = local.map(|c| (gray + 1.45 * (c - gray)).clamp(0.02, 1.0));
+        let light = 0.5 * (sight.light[at] + sight.lit[at]);
+        let lit = ramp(0.02, 0.85, light);
+        let shade = mix(rich.map(|c| 0.42 * c), COLD, 0.58);
+        let half = std::array::from_fn(|i| rich[i] * [0.78, 0.66, 0.60][i]);
+        let full = std::array::from_fn(|i| (rich[i] * 1.10 * LIT[i]).min(1.0));
+        let base = if lit < 0.5 { mix(shade, half, 2.0 * lit) } else { mix(half, full, 2.0 * lit - 1.0) };
+        let glow = (1.0 - 0.8 * lit) * ramp(0.02, 0.14, sight.bounce[at]) * 0.60;
+        let warmed = std::array::from_fn(|i| base[i] + glow * GLOW[i] * (0.35 + rich[i]));
+        // Where no light comes to it is nearly black.
+        let deep = ramp(0.16, 0.02, light + 3.0 * sight.bounce[at]);
+        let color = mix(warmed, [0.09, 0.07, 0.15], 0.6 * deep);
+        mix(color, [1.0, 0.985, 0.93], ramp(0.25, 0.95, sight.gloss[at]))
+    };
+    (0..sight.tone.len()).map(color).collect()
+}
+
+impl Painting<'_> {
+    /// Canvas weave, and a ground that was rubbed on.
+    fn prime(&mut self) {
+        for at in 0..self.canvas.pixels.len() {
+            let (x, y) = self.canvas.position(at);
+            let (column, row) = ((x * FINE as f32) as i32, (y * FINE as f32) as i32);
+            let thread = if (column / 2 + row / 2) % 2 == 0 { column % 2 } else { row % 2 };
+            let weave = 0.5 * thread as f32 + 0.3 * chance::noise(3, x / 0.8, y / 0.8);
+            self.height.push(0.22 * weave);
+            let rubbed = 0.06 * chance::cloud(8, x / 18.0, y / 18.0, 3);
+            self.canvas.pixels[at] = GROUND.map(|c| c + rubbed + 0.02 * weave);
+        }
+    }
+
+    fn go_over(&mut self, number: u64, brush: &Brush) {
+        let sight = self.sight;
+        let seen = self.seen_by(brush.radius);
+        let tone: Vec<f32> = seen.iter().map(|&color| luma(color)).collect();
+        let step = brush.radius * 1.05;
+        let columns = (sight.width as f32 / step) as u64 + 2;
+        let rows = (sight.height as f32 / step) as u64 + 2;
+        let mut seeds: Vec<u64> = (0..columns * rows).collect();
+        seeds.sort_by_key(|&seed| combine(&[20, number, seed]));
+        for seed in seeds {
+            let word = |word: u64| chance::signed(&[21, number, seed, word]);
+            let x = ((seed % columns) as f32 + 0.5 * word(1)) * step;
+            let y = ((seed / columns) as f32 + 0.5 * word(2)) * step;
+            let at = sight.at(x, y);
+            if self.unlike(&seen, x, y, brush.radius) < brush.unlike {
+                continue;
+            }
+            let color = seen[at];
+            let object = sight.object[at];
+            let longest = brush.long * brush.radius * (0.55 + 0.25 * word(3));
+            let walk = (0.5 * brush.radius).max(0.8);
+            let direction = |x: f32, y: f32| self.direction(&tone, x, y, brush.radius, number);
+            let line = follow([x, y], walk, direction, |x, y, n| {
+                let here = sight.at(x, y);
+                let off: f32 = (0..3).map(|i| (seen[here][i] - color[i]).abs()).sum();
+                n as f32 * walk < 0.5 * longest && sight.object[here] == object && off < 0.16
+            });
+            let count = line.len().max(2) - 1;
+            let dabs: Vec<Dab> = line
+                .iter()
+                .enumerate()
+                .map(|(n, &[x, y])| {
+                    let t = n as f32 / count as f32;
+                    let pressed = 0.72 + 0.28 * ramp(0.0, 0.25, t) * ramp(1.0, 0.7, t);
+                    Dab { x, y, radius: brush.radius * pressed * (0.92 + 0.12 * word(4)) }
+                })
+                .collect();
+            self.stroke(&dabs, self.mixed(color, brush.broken, &word), brush, combine(&[22, number, seed]));
+        }
+    }
+
+    /// What is wanted, as coarse as the brush.
+    fn seen_by(&self, radius: f32) -> Vec<[f32; 3]> {
+        let plane = |i: usize| {
+            let values: Vec<f32> = self.wanted.iter().map(|color| color[i]).collect();
+            self.sight.blurred(&values, (0.5 * radius) as usize)
+        };
+        let [r, g, b] = [plane(0), plane(1), plane(2)];
+        r.into_iter().zip(g).zip(b).map(|((r, g), b)| [r, g, b]).collect()
+    }
+
+    /// How far the painting is from what is wanted under the brush, on average.
+    fn unlike(&self, seen: &[[f32; 3]], x: f32, y: f32, radius: f32) -> f32 {
+        let mut sum = 0.0;
+        for (u, v) in [(0.0, 0.0), (0.7, 0.0), (-0.7, 0.0), (0.0, 0.7), (0.0, -0.7)] {
+            let (x, y) = (x + u * radius, y + v * radius);
+            let column = ((x * FINE as f32).max(0.0) as usize).min(self.canvas.width - 1);
+            let row = ((y * FINE as f32).max(0.0) as usize).min(self.canvas.height - 1);
+            let there = self.canvas.pixels[row * self.canvas.width + column];
+            let wanted = seen[self.sight.at(x, y)];
+            sum += (0..3).map(|i| (there[i] - wanted[i]).abs()).sum::<f32>() / 3.0;
+        }
+        sum / 5.0
+    }
+
+    /// Around round things and across the slope of the light; elsewhere as the wrist goes.
+    fn direction(&self, tone: &[f32], x: f32, y: f32, radius: f32, number: u64) -> [f32; 2] {
+        let sight = self.sight;
+        let at = sight.at(x, y);
+        let value = |u: f32, v: f32| sight.smooth(tone, x + u * radius, y + v * radius);
+        let (gx, gy) = (value(1.0, 0.0) - value(-1.0, 0.0), value(0.0, 1.0) - value(0.0, -1.0));
+        let steep = (gx * gx + gy * gy).sqrt();
+        let contour = [-gy / steep.max(1e-4), gx / steep.max(1e-4)];
+        let n = sight.normal[at];
+        let turn = 0.9 * chance::noise(30 + number as u32, x / 38.0, y / 30.0);
+        let wrist = if sight.curved[usize::from(sight.object[at])] > 0.05 {
+            // Circles of latitude about a leaning axis.
+            let axis = [-0.35f32, -0.82, 0.45];
+            [n[1] * axis[2] - n[2] * axis[1], n[2] * axis[0] - n[0] * axis[2]]
+        } else if n[1] < -0.6 {
+            [1.0, 0.10 + 0.35 * turn]
+        } else {
+            [0.75, -0.65 + turn]
+        };
+        let trust = ramp(0.02, 0.10, steep);
+        let sign = if wrist[0] * contour[0] + wrist[1] * contour[1] < 0.0 { -1.0 } else { 1.0 };
+        std::array::from_fn(|i| (1.0 - trust) * wrist[i] + trust * sign * contour[i])
+    }
+
+    /// Paint is never mixed twice the same: lighter or darker, warmer or colder.
+    fn mixed(&self, color: [f32; 3], broken: f32, word: &impl Fn(u64) -> f32) -> [f32; 3] {
+        let (light, warm, green) = (broken * word(11), broken * word(12), 0.5 * broken * word(13));
+        [color[0] + light + 0.6 * warm, color[1] + light + green, color[2] + light - 0.8 * warm]
+    }
+
+    fn stroke(&mut self, dabs: &[Dab], color: [f32; 3], brush: &Brush, key: u64) {
+        let bristles = (brush.radius * 2.2).max(2.0);
+        let touches = self.canvas.touched(dabs);
+        let length = touches.iter().map(|touch| touch.along).fold(1.0, f32::max);
+        let seed = key as u32;
+        for touch in touches {
+            let hair = chance::noise(seed, touch.across * bristles, touch.along / (4.0 * brush.radius));
+            let fine = chance::noise(seed ^ 77, touch.across * bristles * 2.3, touch.along / (2.5 * brush.radius));
+            // The brush runs dry towards the end: some hairs leave nothing.
+            let spent = ramp(0.55, 1.05, touch.along / length);
+            let wet = ramp(-0.55, -0.15, hair + 0.4 * fine + 0.25 - 1.0 * spent);
+            let cover = touch.cover * (0.35 + 0.65 * wet) * (0.88 + 0.12 * wet);
+            let streak = 0.045 * hair + 0.035 * fine;
+            let paint = color.map(|c| c + streak);
+            self.canvas.lay(touch.at, paint, cover.min(1.0));
+            // Paint is pushed to the sides and to the end.
+            let ridge = ramp(0.62, 0.9, touch.across.abs()) + 0.5 * ramp(0.85, 1.0, touch.along / length);
+            let thick = brush.body * (0.30 + 0.45 * hair + 0.25 * fine + 0.45 * ridge);
+            self.height[touch.at] += cover * (thick - 0.8 * self.height[touch.at]);
+        }
+    }
+
+    /// The highlight, set down at last in thick paint.
+    fn glance(&mut self) {
+        let sight = self.sight;
+        let brush = Brush { radius: 2.6, long: 3.0, unlike: 0.0, broken: 0.02, body: 1.8 };
+        let step = 4.0;
+        let columns = (sight.width as f32 / step) as u64;
+        let rows = (sight.height as f32 / step) as u64;
+        for seed in 0..columns * rows {
+            let word = |word: u64| chance::signed(&[23, seed, word]);
+            let x = ((seed % columns) as f32 + 0.5 + 0.3 * word(1)) * step;
+            let y = ((seed / columns) as f32 + 0.5 + 0.3 * word(2)) * step;
+            if sight.smooth(&sight.gloss, x, y) < 0.72 {
+                continue;
+            }
+            let line = follow([x, y], 1.0, |_, _| [1.0, -0.8], |_, _, n| n < 4);
+            let dabs: Vec<Dab> = line.iter().map(|&[x, y]| Dab { x, y, radius: brush.radius }).collect();
+            self.stroke(&dabs, [1.0, 0.99, 0.94], &brush, combine(&[24, seed]));
+        }
+    }
+
+    /// Light from the upper left on the ridges of the paint.
+    fn light_it(&mut self) {
+        let (width, height) = (self.canvas.width, self.canvas.height);
+        let relief = |column: usize, row: usize| self.height[row.min(height - 1) * width + column.min(width - 1)];
+        for row in 0..height {
+            for column in 0..width {
+                let dx = relief(column + 1, row) - relief(column.saturating_sub(1), row);
+                let dy = relief(column, row + 1) - relief(column, row.saturating_sub(1));
+                let facing = (dx + dy).clamp(-0.9, 0.9);
+                let pixel = &mut self.canvas.pixels[row * width + column];
+                let shine = 0.16 * ramp(0.25, 0.8, facing);
+                *pixel = pixel.map(|c| c * (1.0 + 0.20 * facing) + shine * (0.25 + 0.75 * c));
+            }
+        }
+    }
+}

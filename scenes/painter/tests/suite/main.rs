@@ -1,0 +1,3 @@
+//! The painter and what it has painted.
+
+mod styles;

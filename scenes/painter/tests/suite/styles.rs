@@ -1,0 +1,104 @@
+//! The committed pictures come from the committed guides, by this program, to the byte.
+
+use femc_painter::guides::LAYERS;
+use femc_painter::{Guides, PainterError, STYLES, Sight};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn shipped(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../styles").join(name)
+}
+
+fn painter(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_femc-painter")).args(arguments).output().expect("femc-painter runs")
+}
+
+/// A gray ball-like slope of light of 24 x 16 pixels on a floor of another color.
+fn small() -> Guides {
+    let (width, height) = (24u32, 16u32);
+    let column = |at: u32| (at % width) as f32;
+    let upper = |at: u32| at / width < 10;
+    let plane = |value: &dyn Fn(u32) -> [f32; 3]| (0..width * height).map(value).collect::<Vec<_>>();
+    let light = plane(&|at| [10.0 * column(at); 3]);
+    let none = plane(&|_| [0.0; 3]);
+    Guides {
+        width,
+        height,
+        layers: [light.clone(), light.clone(), none.clone(), light, none],
+        albedo: plane(&|at| if upper(at) { [0.5; 3] } else { [0.6, 0.3, 0.2] }),
+        depth: (0..width * height).map(|at| if upper(at) { 4.0 } else { 3.0 }).collect(),
+    }
+}
+
+#[test]
+fn the_shipped_pictures_are_painted_from_the_shipped_guides_to_the_byte() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = painter(&["paint", shipped("ball.layers.exr").to_str().unwrap(), folder.path().to_str().unwrap()]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    for style in STYLES {
+        let name = format!("{}.png", style.name);
+        let (painted, kept) = (std::fs::read(folder.path().join(&name)), std::fs::read(shipped(&name)));
+        let same = painted.expect("painted") == kept.expect("shipped");
+        assert!(same, "scenes/styles/{name} is not what the painter makes: paint it again, look at it and commit it");
+    }
+}
+
+#[test]
+fn each_style_paints_a_small_render_at_its_size_and_no_two_alike() {
+    let sight = Sight::of(&small()).unwrap();
+    let pictures = STYLES.map(|style| (style.paint)(&sight));
+    for (style, picture) in STYLES.iter().zip(&pictures) {
+        assert_eq!((picture.width, picture.height), (24, 16), "{}", style.name);
+        let [dark, light] = [0..6, 18..24].map(|columns: std::ops::Range<usize>| {
+            let lumas = (0..16).flat_map(|row| columns.clone().map(move |column| row * 24 + column));
+            lumas.map(|at| picture.pixels[at].iter().map(|&c| u32::from(c)).sum::<u32>()).sum::<u32>()
+        });
+        assert!(dark < light, "{}: what is dark is painted darker, {dark} and {light}", style.name);
+    }
+    for (a, one) in pictures.iter().enumerate() {
+        assert!(pictures[..a].iter().all(|other| other != one), "{}", STYLES[a].name);
+    }
+}
+
+#[test]
+fn guides_come_back_from_their_file_within_the_precision_of_halves() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("small.exr");
+    std::fs::write(&path, small().encode(&BTreeMap::new()).unwrap()).unwrap();
+    let read = Guides::read(&path).unwrap();
+    assert_eq!(read.depth, small().depth);
+    for ((name, a), b) in LAYERS.iter().zip(&read.layers).zip(&small().layers) {
+        let close = a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() <= b.abs() / 2048.0);
+        assert!(close, "{name}");
+    }
+}
+
+#[test]
+fn a_render_without_light_is_refused_and_so_is_one_without_layers() {
+    let mut dark = small();
+    dark.layers[1].fill([0.0; 3]);
+    assert!(matches!(Sight::of(&dark), Err(PainterError::Dark)));
+
+    let folder = tempfile::tempdir().unwrap();
+    let [plain, missing] = ["plain.exr", "missing.exr"].map(|name| folder.path().join(name).display().to_string());
+    let image = femc_film::Image::filled(2, 2, [1.0; 3]);
+    let channel = |i: usize| image.pixels.iter().map(|pixel| pixel[i]).collect::<Vec<f32>>();
+    let values = [0, 1, 2].map(channel);
+    let named = ["R", "G", "B"].into_iter().zip(&values).map(|(name, values)| femc_film::exr::NamedChannel {
+        name,
+        values,
+        precision: femc_film::exr::Precision::Half,
+    });
+    let named: Vec<_> = named.collect();
+    std::fs::write(&plain, femc_film::exr::encode_named([2, 2], &named, &BTreeMap::new()).unwrap()).unwrap();
+    let said = |arguments: &[&str]| {
+        let out = painter(arguments);
+        (out.status.code(), String::from_utf8_lossy(&out.stderr).into_owned())
+    };
+    let (code, message) = said(&["paint", &plain, &missing]);
+    assert!(code == Some(1) && message.contains("plain.exr") && message.contains("full.R"), "{code:?} {message}");
+    let (code, message) = said(&["guides", &missing, &plain]);
+    assert!(code == Some(1) && message.contains("missing.layers.exr"), "{code:?} {message}");
+    assert_eq!(said(&["draw"]).0, Some(2));
+}

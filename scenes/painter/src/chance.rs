@@ -35,3 +35,29 @@ pub fn cloud(seed: u32, x: f32, y: f32, octaves: u32) -> f32 {
     }
     1.4 * sum
 }
+
+/// Where a stroke may begin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// For all that is left to chance of the stroke.
+    pub key: u64,
+    /// Position in the picture's pixels.
+    pub x: f32,
+    /// Row.
+    pub y: f32,
+}
+
+/// Places all over a picture and a little beyond, one in each square of `apart` pixels, in an order without direction.
+pub fn places(seed: u64, width: usize, height: usize, apart: f32) -> Vec<Place> {
+    let count = |pixels: usize| (pixels as f32 / apart) as u64 + 1;
+    let (columns, rows) = (count(width), count(height));
+    let place = |square: u64| {
+        let key = combine(&[seed, square]);
+        let within = |word: u64| unit(&[key, word]);
+        let (column, row) = ((square % columns) as f32, (square / columns) as f32);
+        Place { key, x: (column + within(u64::MAX)) * apart, y: (row + within(u64::MAX - 1)) * apart }
+    };
+    let mut places: Vec<Place> = (0..columns * rows).map(place).collect();
+    places.sort_by_key(|place| place.key);
+    places
+}

@@ -47,7 +47,7 @@ pub use metrics::Metrics;
 pub use outbox::MemoryOutbox;
 pub use parcel::{Parcel, ParcelError};
 pub use pieces::Pieces;
-pub use plan::{FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, STATISTICS, graph};
+pub use plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, STATISTICS, graph};
 pub use sums::decode as decode_sums;
 pub use worker::Worker;
 

@@ -16,6 +16,9 @@ pub const STATISTICS: &str = "statistics";
 /// The same of workers that know layers.
 pub const LAYERS: &str = "layers";
 
+/// The same of workers that know features, and the form of layers that has room for them.
+pub const FEATURES: &str = "features";
+
 /// The stages of a plan, as a job has them.
 pub fn graph(stages: &[engine::Stage]) -> Graph {
     let has_first_pass = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPass);
@@ -27,6 +30,7 @@ pub fn graph(stages: &[engine::Stage]) -> Graph {
         (has_blocks, FIRST_PASS_BLOCKS),
         (has_statistics, STATISTICS),
         (has_layers, LAYERS),
+        (has_layers, FEATURES),
     ];
     let tags: Vec<&str> = known.iter().filter(|it| it.0).map(|it| it.1).collect();
     Graph { stages: stages.iter().map(|stage| template(stage).tags(&tags)).collect() }

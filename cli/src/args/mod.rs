@@ -8,7 +8,7 @@ mod values;
 
 pub use extras::ExtrasArgs;
 pub use metrics::MetricsArgs;
-pub use select::SelectArgs;
+pub use select::{SelectArgs, fits};
 pub use settings::{SettingsArgs, Stats};
 pub use values::{Filter, Method};
 

@@ -28,7 +28,7 @@ impl SelectArgs {
 }
 
 /// Whether a text is so, where each * stands for any text.
-fn fits(pattern: &str, text: &str) -> bool {
+pub fn fits(pattern: &str, text: &str) -> bool {
     let Some((head, mut rest)) = pattern.split_once('*') else { return pattern == text };
     let Some(mut text) = text.strip_prefix(head) else { return false };
     while let Some((part, next)) = rest.split_once('*') {

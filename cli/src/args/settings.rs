@@ -80,7 +80,8 @@ pub struct SettingsArgs {
     /// Shading Language, like `--layer direct=CDL` (repeatable). `docs/layers.md` has the grammar and examples.
     #[arg(long, value_name = "NAME=EXPRESSION")]
     pub layer: Vec<Layer>,
-    /// The same by names of layers: guides (five), lamps (one a lamp), direct, indirect, fog, surfaces
+    /// The same by names: guides (five), lamps (one a lamp), direct, indirect, fog, surfaces; of what the camera sees first normal,
+    /// position, depth, albedo, motion, object, material
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub layers: Vec<String>,
 }

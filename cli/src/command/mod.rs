@@ -33,6 +33,7 @@ pub mod report;
 mod site;
 pub mod stats;
 pub mod status;
+pub mod stylize;
 mod subject;
 pub mod submit;
 pub mod sweep;
@@ -83,6 +84,7 @@ pub enum Command {
     Field(field::FieldArgs),
     Paths(paths::PathsArgs),
     Bottlenecks(bottlenecks::BottlenecksArgs),
+    Stylize(stylize::StylizeArgs),
     Coordinator(coordinator::CoordinatorArgs),
     Worker(worker::WorkerArgs),
     Submit(submit::SubmitArgs),
@@ -156,6 +158,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Field(args) => field::run(args, say),
         Command::Paths(args) => paths::run(&args, say),
         Command::Bottlenecks(args) => bottlenecks::run(&args, say),
+        Command::Stylize(args) => stylize::run(&args, say),
         Command::Coordinator(args) => coordinator::run(args, say),
         Command::Worker(args) => worker::run(args, say),
         Command::Submit(args) => submit::run(args, say),

@@ -10,10 +10,12 @@ use femc_fault::{Pretense, pretended};
 use femc_import::{Bundle, ImportError, Loaded, ScenePath};
 use femc_pipeline::auto::{self, Choice};
 use femc_pipeline::{
-    FIRST_PASS, Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source, Stop, lamp_labels,
+    FIRST_PASS, Feature, Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source, Stop,
+    lamp_labels,
 };
 use femc_scene::Scene;
 use femc_worker::Parcel;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -109,8 +111,9 @@ impl Base {
         let source = source.map_err(|e| usage(format!("{}: {e}", named(&format!("set.{}", e.selector())))))?;
         let scene = source.scene();
         let asked_for = layers(scene, typed, &named)?;
-        let layers = if asked_for.is_empty() { settings.layers } else { asked_for };
-        let settings = Settings { layers, ..settings };
+        let nothing = asked_for.0.is_empty() && asked_for.1.is_empty();
+        let (layers, features) = if nothing { (settings.layers, settings.features) } else { asked_for };
+        let settings = Settings { layers, features, ..settings };
         let frames = typed
             .frames
             .map(|frames| frames.resolve(scene.frame_count()))
@@ -346,20 +349,29 @@ fn settings(typed: &SettingsArgs) -> Settings {
         statistics: typed.stats.is_some(),
         full_statistics: typed.stats == Some(Stats::Full),
         layers: Vec::new(),
+        features: BTreeSet::new(),
         allocation: None,
     }
 }
 
-/// The layers that were typed: first those of `--layers`, then those of `--layer`.
-fn layers(scene: &Scene, typed: &SettingsArgs, named: &dyn Fn(&str) -> String) -> Result<Vec<Layer>, Failure> {
+/// The layers that were typed: first those of `--layers`, then those of `--layer`; and the features among those of `--layers`.
+fn layers(
+    scene: &Scene,
+    typed: &SettingsArgs,
+    named: &dyn Fn(&str) -> String,
+) -> Result<(Vec<Layer>, BTreeSet<Feature>), Failure> {
     let lamps = if typed.layers.is_empty() { Vec::new() } else { lamp_labels(scene) };
-    let mut all = Vec::new();
+    let (mut all, mut features) = (Vec::new(), BTreeSet::new());
     for name in &typed.layers {
+        if let Some(feature) = Feature::named(name.trim()) {
+            features.insert(feature);
+            continue;
+        }
         let preset = name.trim().parse().and_then(|preset: Preset| preset.layers(lamps.iter().map(String::as_str)));
         all.extend(preset.map_err(|e| usage(format!("{}: {e}", named("layers"))))?);
     }
     all.extend(typed.layer.iter().cloned());
-    Ok(all)
+    Ok((all, features))
 }
 
 fn method(method: Method) -> femc_pipeline::Method {

@@ -7,6 +7,7 @@ mod hours;
 mod overrides;
 mod place;
 mod size;
+mod style;
 mod task;
 mod volume;
 
@@ -17,5 +18,6 @@ pub use hours::Hours;
 pub use overrides::Override;
 pub use place::Place;
 pub use size::Size;
+pub use style::{Style, guide_frame};
 pub use task::{JobTasks, Tasks};
 pub use volume::{Volume, VolumeError};

@@ -93,7 +93,7 @@ fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
     assert!(
         workers(&place, &url)
             .to_string()
-            .contains(r#""tags":["ffmpeg","first-pass","first-pass-blocks","statistics","layers"]"#),
+            .contains(r#""tags":["ffmpeg","first-pass","first-pass-blocks","statistics","layers","features"]"#),
         "{}",
         workers(&place, &url)
     );

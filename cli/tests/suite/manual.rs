@@ -161,6 +161,7 @@ pages! {
     http: "http.md",
     sweeps: "sweeps.md",
     statistics: "statistics.md",
+    stylize: "stylize.md",
     troubleshooting: "troubleshooting.md",
     accuracy: "accuracy.md",
     bench: "bench.md",

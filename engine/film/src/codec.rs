@@ -113,6 +113,11 @@ pub(crate) fn put_bad(bad: &BadSamples, mut word: impl FnMut(u32)) {
 pub(crate) fn finish(mut out: Vec<u8>, planes: &[u8]) -> Vec<u8> {
     // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
     out.extend(zstd::bulk::compress(planes, LEVEL).unwrap_or_default());
+    seal(out)
+}
+
+/// Puts in the checksum of all that follows it.
+pub(crate) fn seal(mut out: Vec<u8>) -> Vec<u8> {
     let sum = blake3::hash(&out[PREFIX..]);
     out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
     out
@@ -138,23 +143,28 @@ pub(crate) fn open<'a>(magic: &[u8; 8], version: u32, bytes: &'a [u8]) -> Result
 /// What is left to read.
 pub(crate) struct Reader<'a>(&'a [u8]);
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    /// All that is left.
+    pub(crate) fn rest(self) -> &'a [u8] {
+        self.0
+    }
+
     /// The pixels of compressed byte planes.
     pub(crate) fn planes<T, const N: usize>(
         self,
         count: usize,
         from_bytes: impl Fn(&[u8; N]) -> T,
     ) -> Result<Vec<T>, FilmError> {
-        let plain = count * N;
-        if zstd::zstd_safe::get_frame_content_size(self.0).ok().flatten() != Some(plain as u64) {
+        Ok(from_planes(&self.plain(count * N)?, count, from_bytes))
+    }
+
+    /// What is left, decompressed: so many bytes.
+    pub(crate) fn plain(self, size: usize) -> Result<Vec<u8>, FilmError> {
+        if zstd::zstd_safe::get_frame_content_size(self.0).ok().flatten() != Some(size as u64) {
             return Err(FilmError::Corrupt("pixels of another number"));
         }
-        let planes =
-            zstd::bulk::decompress(self.0, plain).map_err(|_| FilmError::Corrupt("pixels do not decompress"))?;
-        if planes.len() != plain {
-            return Err(FilmError::Corrupt("pixels of another number"));
-        }
-        Ok(from_planes(&planes, count, from_bytes))
+        let plain = zstd::bulk::decompress(self.0, size).map_err(|_| FilmError::Corrupt("pixels do not decompress"))?;
+        if plain.len() == size { Ok(plain) } else { Err(FilmError::Corrupt("pixels of another number")) }
     }
 
     fn word(&mut self) -> Result<u32, FilmError> {
@@ -280,7 +290,11 @@ pub(crate) fn to_planes<T, const N: usize>(pixels: &[T], to_bytes: impl Fn(&T) -
     planes
 }
 
-fn from_planes<T, const N: usize>(planes: &[u8], count: usize, from_bytes: impl Fn(&[u8; N]) -> T) -> Vec<T> {
+pub(crate) fn from_planes<T, const N: usize>(
+    planes: &[u8],
+    count: usize,
+    from_bytes: impl Fn(&[u8; N]) -> T,
+) -> Vec<T> {
     let mut pixels = Vec::with_capacity(count);
     for start in (0..count).step_by(STRIP) {
         let length = STRIP.min(count - start);

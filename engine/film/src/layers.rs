@@ -19,12 +19,12 @@
 
 use crate::codec::{begin, finish, open, to_planes};
 use crate::piece::{variance_factor, weights};
-use crate::tile::{Ends, HALVES, MAX_TILE_PIXELS, OPEN, half_of, parts};
+use crate::tile::{Ends, HALVES, MAX_TILE_PIXELS, OPEN, half_of};
 use crate::{FilmError, Rect, SampleRange, Tiling};
 use femc_math::Rgb;
 use femc_math::sampler::replicate_of;
 use femc_stats::ExactSum;
-use femc_stats::exact::RadianceSum;
+use femc_stats::exact::{BufferedSums, RadianceSum};
 use std::ops::Range;
 
 const SUMS: &[u8; 8] = b"FEMCLAYR";
@@ -45,15 +45,6 @@ pub struct LayerSums {
 }
 
 impl LayerSums {
-    /// Adds sample number `index`, in which the layer has `color`, cd/m2: finite and not negative. It is to be counted apart.
-    #[inline]
-    pub fn add(&mut self, index: u32, color: Rgb) {
-        for (sum, value) in self.color[half_of(replicate_of(index))].iter_mut().zip(color.to_array()) {
-            let (mantissa, exponent) = parts(value);
-            sum.add_parts(mantissa, exponent);
-        }
-    }
-
     /// Counts sample number `index`, which is the same in all layers of a pixel.
     #[inline]
     pub fn count(&mut self, index: u32) {
@@ -61,7 +52,9 @@ impl LayerSums {
         *count = count.saturating_add(1);
     }
 
-    fn merge(&mut self, other: &Self) {
+    /// Adds the samples of `other`, which are others.
+    #[inline]
+    pub fn merge(&mut self, other: &Self) {
         self.color.as_flattened_mut().iter_mut().zip(other.color.as_flattened()).for_each(|(a, b)| a.merge(*b));
         self.count.iter_mut().zip(other.count).for_each(|(a, b)| *a = a.saturating_add(b));
     }
@@ -102,6 +95,25 @@ impl LayerSums {
     }
 }
 
+/// Light of samples of one pixel that layers take together, on its way into their sums.
+#[derive(Clone, Debug, Default)]
+pub struct LayerLight([BufferedSums<60, 3>; HALVES]);
+
+impl LayerLight {
+    /// Adds sample number `index`, of which the layers take `color`, cd/m2: finite and not negative. It is to be counted apart.
+    #[inline]
+    pub fn add(&mut self, index: u32, color: Rgb) {
+        self.0[half_of(replicate_of(index))].add(color.to_array());
+    }
+
+    /// The light of all samples that were added since the last time; `None`: there is none.
+    pub fn take(&mut self) -> Option<LayerSums> {
+        let color = self.0.each_mut().map(|half| std::mem::take(half).finish());
+        let sums = LayerSums { color, count: [0; HALVES] };
+        (sums != LayerSums::default()).then_some(sums)
+    }
+}
+
 /// The layers of samples of a rectangle of pixels.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LayerTile {
@@ -113,7 +125,7 @@ pub struct LayerTile {
 }
 
 impl LayerTile {
-    /// Of sums by pixel, row by row, and in each pixel by layer. The first layer of a pixel has the counts of all.
+    /// Of sums by pixel, row by row, and in each pixel by layer.
     /// - errors: they are not so many.
     pub fn of_pixels(rect: Rect, samples: Range<u32>, layers: u32, sums: &[LayerSums]) -> Result<Self, FilmError> {
         let area = rect.check(MAX_TILE_PIXELS)?.area() as usize;
@@ -124,9 +136,8 @@ impl LayerTile {
         if !(1..=MOST).contains(&layers) || sums.len() != area * layers as usize {
             return Err(FilmError::Corrupt("layers of another number of pixels"));
         }
-        let pixels = sums.chunks_exact(layers as usize);
-        let layer = |layer: usize| pixels.clone().map(move |pixel| LayerSums { count: pixel[0].count, ..pixel[layer] });
-        Ok(Self { rect, samples, layers, sums: (0..layers as usize).flat_map(layer).collect() })
+        let layer = |layer: usize| sums[layer..].iter().step_by(layers as usize);
+        Ok(Self { rect, samples, layers, sums: (0..layers as usize).flat_map(layer).copied().collect() })
     }
 
     /// The pixels.

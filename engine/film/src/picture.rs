@@ -46,6 +46,35 @@ impl Picture {
         Ok(Self { width, height, pixels })
     }
 
+    /// The picture of any PNG file, as painting programs write them: gray or colors, palettes, 1 to 16 bits a channel (of 16 the upper 8
+    /// are kept). What is transparent shows white paper.
+    pub fn from_any_png(bytes: &[u8]) -> Result<Self, FilmError> {
+        let damaged = |e: png::DecodingError| FilmError::Format { what: "reading PNG", cause: e.to_string() };
+        let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
+        decoder.set_transformations(png::Transformations::normalize_to_color8());
+        let mut reader = decoder.read_info().map_err(damaged)?;
+        let (width, height) = reader.info().size();
+        if !(1..=MAX_FILM_PIXELS).contains(&(u64::from(width) * u64::from(height))) {
+            return Err(FilmError::Size { width: width.into(), height: height.into(), limit: MAX_FILM_PIXELS });
+        }
+        let channels = reader.output_color_type().0.samples();
+        let mut out = vec![0; channels * width as usize * height as usize];
+        reader.next_frame(&mut out).and_then(|_| reader.finish()).map_err(damaged)?;
+        let over_paper = |value: u8, alpha: u8| {
+            let (value, alpha) = (u32::from(value), u32::from(alpha));
+            ((value * alpha + 255 * (255 - alpha) + 127) / 255) as u8
+        };
+        let pixel = |pixel: &[u8]| match *pixel {
+            [gray] => [gray; 3],
+            [gray, alpha] => [over_paper(gray, alpha); 3],
+            [red, green, blue] => [red, green, blue],
+            [red, green, blue, alpha] => [red, green, blue].map(|value| over_paper(value, alpha)),
+            _ => [0; 3],
+        };
+        let pixels = out.chunks_exact(channels).map(pixel).collect();
+        Ok(Self { width, height, pixels })
+    }
+
     /// What is shown in the place of a picture that there is not: gray with a cross.
     pub fn missing(width: u32, height: u32) -> Self {
         const CARD: [u8; 3] = [112; 3];
@@ -170,6 +199,30 @@ mod tests {
         encoder.set_color(png::ColorType::Grayscale);
         encoder.write_header().unwrap().write_image_data(&[7]).unwrap();
         assert!(matches!(Picture::from_png(&gray), Err(FilmError::Corrupt(_))));
+    }
+
+    #[test]
+    fn any_png_becomes_colors_and_transparency_shows_white_paper() {
+        let file = |color: png::ColorType, depth: png::BitDepth, data: &[u8]| {
+            let mut bytes = Vec::new();
+            let mut encoder = png::Encoder::new(&mut bytes, 2, 1);
+            encoder.set_color(color);
+            encoder.set_depth(depth);
+            encoder.write_header().unwrap().write_image_data(data).unwrap();
+            bytes
+        };
+        let eight = png::BitDepth::Eight;
+        for (bytes, expected) in [
+            (file(png::ColorType::Grayscale, eight, &[7, 200]), [[7; 3], [200; 3]]),
+            (file(png::ColorType::GrayscaleAlpha, eight, &[0, 255, 0, 0]), [[0; 3], [255; 3]]),
+            (file(png::ColorType::Rgb, eight, &[1, 2, 3, 4, 5, 6]), [[1, 2, 3], [4, 5, 6]]),
+            (file(png::ColorType::Rgba, eight, &[1, 2, 3, 255, 100, 0, 0, 51]), [[1, 2, 3], [224, 204, 204]]),
+            (file(png::ColorType::Grayscale, png::BitDepth::Sixteen, &[9, 77, 10, 88]), [[9; 3], [10; 3]]),
+            (file(png::ColorType::Grayscale, png::BitDepth::One, &[0b0100_0000]), [[0; 3], [255; 3]]),
+        ] {
+            assert_eq!(Picture::from_any_png(&bytes).unwrap().pixels, expected);
+            assert!((0..bytes.len()).all(|end| Picture::from_any_png(&bytes[..end]).is_err()));
+        }
     }
 
     #[test]

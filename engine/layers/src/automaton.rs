@@ -16,12 +16,20 @@ pub type State = u16;
 /// Nothing that follows makes any layer take the path.
 pub const DEAD: State = 0;
 
-/// An event at something that has a set of labels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Symbol(u16);
+/// A set of labels that something in the scene has: where the table has its events.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Labels(u32);
+
+/// Number of a set of layers that take paths together; [`NO_LAYERS`] is the empty one.
+pub type Takers = u16;
+
+/// No layer takes the path.
+pub const NO_LAYERS: Takers = 0;
 
 /// Kinds that follow the camera.
 const KINDS: usize = Kind::ALL.len() - 1;
+/// Entries of the table for a state and a label set: one for each kind, the camera's, too.
+const COLUMNS: usize = Kind::ALL.len();
 /// Most entries of the table while it is made.
 const MOST_ENTRIES: usize = 1 << 22;
 
@@ -30,10 +38,14 @@ const MOST_ENTRIES: usize = 1 << 22;
 pub struct Automaton {
     /// Label sets that something in the scene has, ascending.
     sets: Vec<LabelSet>,
-    /// By state and symbol.
+    /// By state, label set and kind of event.
     next: Vec<State>,
-    /// By state: a bit for each layer that takes a path which ends there.
-    accepts: Vec<u64>,
+    /// Entries of a state.
+    columns: usize,
+    /// By state: the layers that take a path which ends there.
+    takers: Vec<Takers>,
+    /// By their number: a bit for each layer.
+    layers: Vec<u64>,
     start: State,
 }
 
@@ -64,7 +76,7 @@ impl Automaton {
 
     /// Number of states.
     pub fn states(&self) -> usize {
-        self.accepts.len()
+        self.takers.len()
     }
 
     /// The state of a path that has left the camera.
@@ -72,23 +84,26 @@ impl Automaton {
         self.start
     }
 
-    /// An event of `kind`, which is not the camera, at something that has this set; `None`: nothing in the scene has it.
-    pub fn symbol(&self, kind: Kind, set: LabelSet) -> Option<Symbol> {
-        let class = self.sets.binary_search(&set).ok()?;
-        let kind = (kind as usize).checked_sub(1)?;
-        Some(Symbol((class * KINDS + kind) as u16))
+    /// Where the table has this set; `None`: nothing in the scene has it.
+    pub fn labels(&self, set: LabelSet) -> Option<Labels> {
+        self.sets.binary_search(&set).ok().map(|at| Labels((at * COLUMNS) as u32))
     }
 
-    /// The state after an event.
+    /// The state after an event of `kind` at something that has these labels. A second camera makes every path dead.
     #[inline]
-    pub fn next(&self, state: State, symbol: Symbol) -> State {
-        self.next[usize::from(state) * self.sets.len() * KINDS + usize::from(symbol.0)]
+    pub fn next(&self, state: State, kind: Kind, labels: Labels) -> State {
+        self.next[usize::from(state) * self.columns + labels.0 as usize + kind as usize]
     }
 
-    /// The layers, a bit each, that take a path which ends in this state.
+    /// The layers that take a path which ends in this state.
     #[inline]
-    pub fn accepts(&self, state: State) -> u64 {
-        self.accepts[usize::from(state)]
+    pub fn takers(&self, state: State) -> Takers {
+        self.takers[usize::from(state)]
+    }
+
+    /// By [`Takers`]: the layers, a bit each.
+    pub fn layers(&self) -> &[u64] {
+        &self.layers
     }
 }
 
@@ -254,10 +269,20 @@ impl Subsets {
         let start = visit(start, &mut order);
         let (mut table, mut at) = (Vec::new(), 0);
         while let Some(&state) = order.get(at) {
-            table.extend(row(state).iter().map(|&to| visit(to, &mut order)));
+            for set in row(state).chunks(KINDS) {
+                table.push(DEAD);
+                table.extend(set.iter().map(|&to| visit(to, &mut order)));
+            }
             at += 1;
         }
-        Automaton { sets, next: table, accepts: order.iter().map(|&state| accepts[state]).collect(), start }
+        let accepted: Vec<u64> = order.iter().map(|&state| accepts[state]).collect();
+        // The empty set first.
+        let takers = numbered(std::iter::once(0).chain(accepted.iter().copied()));
+        let mut layers = vec![0; takers.iter().max().map_or(0, |most| *most as usize + 1)];
+        takers.iter().skip(1).zip(accepted).for_each(|(&taker, accepted)| layers[taker as usize] = accepted);
+        let takers = takers.into_iter().skip(1).map(|taker| taker as Takers).collect();
+        let columns = sets.len() * COLUMNS;
+        Automaton { sets, next: table, columns, takers, layers, start }
     }
 }
 

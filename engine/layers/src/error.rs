@@ -44,8 +44,12 @@ pub enum LayerError {
     /// Too many.
     #[error("there are {0} layers; a frame has at most {most}", most = crate::MOST_LAYERS)]
     Many(usize),
-    /// No preset of this name.
-    #[error("there are no layers called `{0}`; choose among {known}", known = crate::Preset::NAMES.join(", "))]
+    /// No preset and no feature of this name.
+    #[error(
+        "there are no layers called `{0}`; choose among {presets}, {features}",
+        presets = crate::Preset::NAMES.join(", "),
+        features = crate::Feature::NAMES.join(", ")
+    )]
     Preset(String),
     /// Layers of lamps where there are none.
     #[error("the scene has no lamps, so that there are no layers of `lamps`")]

@@ -1,4 +1,4 @@
-//! Light path expressions: which paths of light make a layer of a render.
+//! Light path expressions: which paths of light make a layer of a render; and features, layers of what the camera sees first.
 //!
 //! An [`Expression`] is a regular expression over the events of a path from the camera to a source, in the grammar of Open Shading
 //! Language. All expressions of a frame are compiled to one deterministic, minimal [`Automaton`]: a path carries one state, whatever
@@ -9,15 +9,18 @@
 #![deny(missing_docs)]
 
 mod automaton;
+pub mod cryptomatte;
 mod error;
 mod event;
 mod expression;
+mod feature;
 mod layer;
 mod preset;
 
-pub use automaton::{Automaton, DEAD, State, Symbol};
+pub use automaton::{Automaton, DEAD, Labels, NO_LAYERS, State, Takers};
 pub use error::{ExpressionError, LayerError};
 pub use event::{Event, Kind, LabelSet, Vocabulary};
 pub use expression::{Expression, Node};
+pub use feature::Feature;
 pub use layer::{Layer, MOST_LAYERS, parse_all};
 pub use preset::Preset;

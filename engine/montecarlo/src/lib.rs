@@ -6,6 +6,7 @@
 #![deny(missing_docs)]
 
 mod dimensions;
+mod first;
 mod fog;
 mod guided;
 mod path;
@@ -13,6 +14,7 @@ pub mod record;
 mod shadow;
 mod technique;
 
+pub use first::{FirstSurface, first_surface};
 pub use path::{Counters, PathSample, PathSettings, PixelFilter, Tracer};
 pub use record::{Recorder, Recording};
 pub use technique::Technique;

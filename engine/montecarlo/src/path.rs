@@ -206,6 +206,9 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let center = self.scene.camera.center(pixel);
         let place = [center[0] + offset[0], center[1] + offset[1]];
         let ray = view.ray(place);
+        if R::CAMERA {
+            self.recorder.camera(&view, lens, &ray);
+        }
         let mut came = Came::Surely;
         let mut drawn = Rgb::ZERO;
         if let Some(seen) = self.scene.sightings.of(pixel) {
@@ -424,7 +427,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let material = &scene.materials[point.material as usize];
             let back = point.normal.dot(ray.dir) > 0.0;
             let crossing = material.crossing[usize::from(back)];
-            let bsdf = self.bsdf(material, &point);
+            let bsdf = bsdf_at(scene, material, &point);
             let (frame, wo) = local_wo(material, &point, ray.dir);
             if first && !matches!(crossing, Crossing::Null { .. }) {
                 first = false;
@@ -572,13 +575,6 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         out
     }
 
-    fn bsdf(&self, material: &KernelMaterial, point: &SurfacePoint) -> Bsdf {
-        match material.map_rd {
-            None => material.bsdf,
-            Some(map) => material.textured(self.scene.textures[map as usize].lookup(point.uv)),
-        }
-    }
-
     /// Emission of a surface that the path met, weighted against the strategies that could have found it.
     #[inline]
     fn met_light(&self, ray: &Ray, point: &SurfacePoint, previous: &Previous) -> Rgb {
@@ -656,7 +652,6 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             if light.delta == DeltaKind::Position { 0.0 } else { square(scattering.pdf(wi, light.dir) / light.pdf) };
         let weight = weight(self.settings.only, Technique::Light, by_scattering);
         let contribution = value * light.radiance * (weight / light.pdf);
-        tell!(self.split(|| Split::of(bsdf, wo, wi)));
         let mut inside = *inside;
         if MEDIA && (point.normal.dot(light.dir) > 0.0) == back {
             cross(&mut inside, &scene.materials[point.material as usize], back);
@@ -665,6 +660,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let visibility = self.shadow.visibility::<MEDIA>(scene, from, light, time, &inside, &mut self.counters);
         if visibility == Rgb::ZERO {
             tell!(self.hidden(|| segment(from, (light.position, light.error, light.normal), time)));
+        } else {
+            tell!(self.split(|| Split::of(bsdf, wo, wi)));
         }
         contribution * visibility
     }
@@ -747,9 +744,18 @@ fn from_field(color: Rgb, throughput: Rgb, bounce: u32, position: Vec3A) -> Cont
     Contribution { color, throughput, bounce, found: Found::Field, light: None, position }
 }
 
+/// The BSDF at a point of a material.
+#[inline]
+pub(crate) fn bsdf_at(scene: &Prepared, material: &KernelMaterial, point: &SurfacePoint) -> Bsdf {
+    match material.map_rd {
+        None => material.bsdf,
+        Some(map) => material.textured(scene.textures[map as usize].lookup(point.uv)),
+    }
+}
+
 /// The shading frame and the direction toward the viewer in it.
 #[inline]
-fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec3A) -> (Frame, Vec3A) {
+pub(crate) fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec3A) -> (Frame, Vec3A) {
     let outward = -dir;
     let back = point.normal.dot(outward) < 0.0;
     let mut shading = point.shading;

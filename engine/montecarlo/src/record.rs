@@ -7,6 +7,7 @@
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
+use femc_prepared::camera::View;
 use femc_scattering::Bsdf;
 pub use femc_scattering::Transmitted;
 
@@ -23,9 +24,14 @@ pub enum Hears {
 pub trait Recorder {
     /// Whether it wants to hear what hides light ([`Self::hidden`]): to find that out takes work.
     const HIDDEN: bool = true;
+    /// Whether it wants to hear of camera rays ([`Self::camera`]).
+    const CAMERA: bool = false;
 
     /// A camera sample begins: its pixel, a row-major index in the whole film, and its number. Says what is to be heard of it.
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears;
+    /// The sample's ray leaves the camera, whatever else is to be heard of the sample.
+    /// - `view`: what the point `lens` of the lens, in [0, 1)^2, sees at the ray's time.
+    fn camera(&mut self, _view: &View, _lens: [f32; 2], _ray: &Ray) {}
     /// The path has come to a surface that may scatter, or to a collision in a medium.
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
     /// The path goes on from its latest vertex.
@@ -33,7 +39,7 @@ pub trait Recorder {
     /// The light that was drawn for the latest vertex, or for a point in fog, is hidden by a surface: its contribution, which is told next, is 0.
     fn hidden(&mut self, shadow: impl FnOnce() -> Ray);
     /// What the surface of the latest vertex is to the direction that is told next: the one that the path goes on in, or that of the light
-    /// that was drawn. Of a mirror and of clear surfaces nothing is told.
+    /// that was drawn, unless it is hidden. Of a mirror and of clear surfaces nothing is told.
     fn split(&mut self, _split: impl FnOnce() -> Split) {}
     /// Light was found.
     fn light(&mut self, contribution: impl FnOnce() -> Contribution);
@@ -140,16 +146,43 @@ pub enum Leaving {
 pub struct Split {
     /// Whether the directions lie on different sides.
     pub transmitted: Transmitted,
-    /// Share by channel that is scattered diffusely; the rest is glossy. In 0..1.
-    pub diffuse: Rgb,
+    /// What scatters.
+    pub lobes: Lobes,
+}
+
+/// Lobes of a surface between two directions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Lobes {
+    /// All is scattered diffusely.
+    Diffuse,
+    /// All is scattered about a direction.
+    Glossy,
+    /// Both: the share by channel that is scattered diffusely, in 0..1.
+    Both(Rgb),
 }
 
 impl Split {
     /// Of light from `wi` to `wo`, unit, local frame: by the side that it comes from and by the lobes' shares of the BSDF's value there,
     /// whatever drew the direction.
+    #[inline]
     pub(crate) fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
         let transmitted = if wo.z * wi.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
-        Self { transmitted, diffuse: bsdf.diffuse_share(wo, wi) }
+        let lobes = if matches!(bsdf, Bsdf::Diffuse(_)) { Lobes::Diffuse } else { Lobes::of(bsdf, wo, wi) };
+        Self { transmitted, lobes }
+    }
+}
+
+impl Lobes {
+    #[inline(never)]
+    fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
+        let share = bsdf.diffuse_share(wo, wi);
+        if share == Rgb::ONE {
+            Self::Diffuse
+        } else if share == Rgb::ZERO {
+            Self::Glossy
+        } else {
+            Self::Both(share)
+        }
     }
 }
 
@@ -275,10 +308,16 @@ impl<A, B> Both<A, B> {
 
 impl<A: Recorder, B: Recorder> Recorder for Both<A, B> {
     const HIDDEN: bool = A::HIDDEN || B::HIDDEN;
+    const CAMERA: bool = A::CAMERA || B::CAMERA;
 
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
         self.hears = [self.first.begin(pixel, sample), self.second.begin(pixel, sample)].map(|it| it == Hears::All);
         if self.hears == [false; 2] { Hears::End } else { Hears::All }
+    }
+
+    fn camera(&mut self, view: &View, lens: [f32; 2], ray: &Ray) {
+        self.first.camera(view, lens, ray);
+        self.second.camera(view, lens, ray);
     }
 
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {

@@ -1,7 +1,7 @@
 //! What would run, and what is left out and why.
 
 use crate::first_pass_steps::{first_pass_blocks, in_blocks};
-use crate::layers::unknown_label;
+use crate::layers::{feature_layout, unknown_label};
 use crate::settings::{Method, Settings, SettingsError, Stop};
 use crate::stage::{Stage, fan, stages, with_layers, with_statistics};
 use femc_film::{FilmError, Tiling};
@@ -103,7 +103,7 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
     let stages = in_blocks(stages(&tiling, &rounds, fan(&tiling), method), method, first_pass_blocks(scene));
     let stages = if settings.statistics { with_statistics(stages) } else { stages };
-    let stages = if settings.layers.is_empty() { stages } else { with_layers(stages, &tiling, settings.layers.len()) };
+    let stages = if settings.has_layers() { with_layers(stages, &tiling, weight_of_layers(settings)) } else { stages };
     let left_out = |what: &str, reason: &str| LeftOut { what: what.into(), reason: reason.into() };
     let mut left_out = match method {
         Method::Fem => {
@@ -118,6 +118,13 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     let spared = scene.spared(camera).into_iter();
     left_out.extend(spared.map(|s| LeftOut { what: s.feature.to_string(), reason: s.reason }));
     Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method, stages, left_out })
+}
+
+/// What a pixel's layers and features weigh, a layer as 1.
+fn weight_of_layers(settings: &Settings) -> usize {
+    let features = feature_layout(&settings.features);
+    let bytes = 16 * features.values + 64 * features.ids;
+    settings.layers.len() + bytes.div_ceil(104) as usize
 }
 
 /// Edges of tiles that have their own numbers of samples, pixels. The worst block of a tile decides, so tiles of one block draw fewest

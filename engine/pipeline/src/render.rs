@@ -3,6 +3,7 @@
 use crate::first_pass::{brightened, first_pass, first_pass_world};
 use crate::settings::{Method, Settings};
 use femc_film::{FilmError, Filter, Rect, Sample, Tile};
+use femc_layers::Feature;
 use femc_montecarlo::{PathSample, PathSettings, PixelFilter, Recorder, Tracer};
 use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
 use femc_scene::FrameKey;
@@ -39,9 +40,13 @@ pub fn prepare_world(
     femc_prepared::prepare(source, &spec(settings, frame), previous)
 }
 
-/// What [`prepare`] would make the frame from.
+/// What [`prepare`] would make the frame from; and the next one, if the frame tells of it by motion vectors.
 pub fn frame_key(source: &Source, settings: &Settings, frame: u32) -> Result<FrameKey, PrepareError> {
-    femc_prepared::frame_key(source, &spec(settings, frame))
+    let key = femc_prepared::frame_key(source, &spec(settings, frame))?;
+    if !settings.features.contains(&Feature::Motion) || frame >= source.scene().frame_count() {
+        return Ok(key);
+    }
+    Ok(key.before(&femc_prepared::frame_key(source, &spec(settings, frame + 1))?))
 }
 
 pub(crate) fn spec(settings: &Settings, frame: u32) -> FrameSpec {

@@ -3,9 +3,10 @@
 use crate::allocation::{Allocation, AllocationError};
 use crate::budget::PILOT;
 use femc_film::Filter;
-use femc_layers::{Layer, LayerError};
+use femc_layers::{Feature, Layer, LayerError};
 use femc_scene::{Scene, SelectorError};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Everything besides the scene that decides a frame's pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,6 +35,9 @@ pub struct Settings {
     /// Layers of the light, beside the picture.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub layers: Vec<Layer>,
+    /// Features, beside the picture: what the camera sees first.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub features: BTreeSet<Feature>,
     /// Of a frame that has a time: how its samples were divided when it was rendered first; `None`: by the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allocation: Option<Allocation>,
@@ -53,6 +57,7 @@ impl Default for Settings {
             statistics: false,
             full_statistics: false,
             layers: Vec::new(),
+            features: BTreeSet::new(),
             allocation: None,
         }
     }
@@ -162,6 +167,11 @@ impl Settings {
             return Err(SettingsError::LayersOfElements);
         }
         Ok(self.allocation.as_ref().map_or(Ok(()), Allocation::check)?)
+    }
+
+    /// Whether frames have a file of layers or features.
+    pub fn has_layers(&self) -> bool {
+        !self.layers.is_empty() || !self.features.is_empty()
     }
 
     /// The settings as an image states them: they do not tell whether it was rendered by the clock or by the division that it states.

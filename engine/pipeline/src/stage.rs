@@ -249,7 +249,7 @@ const GROUP_SUMS: u64 = 1 << 20;
 
 /// Adds layers to the stages of a job: nothing of its images changes. Behind the loop, when it is known which samples count, groups of
 /// tiles are resolved, and the image writes them.
-/// - `layers`: number of layers, not 0.
+/// - `layers`: number of layers, and what features weigh as much as; not 0.
 pub fn with_layers(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize) -> Vec<Stage> {
     let find = |stages: &[Stage], kind| stages.iter().position(|stage| stage.kind == kind);
     let (Some(render), Some(mut image)) = (find(&stages, StageKind::Render), stages.pop()) else { return stages };

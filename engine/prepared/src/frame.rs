@@ -68,6 +68,10 @@ pub enum PrepareError {
 pub struct PlacedGroup {
     /// Its surfaces.
     pub compiled: Arc<Compiled>,
+    /// What carries it, from the group's frame to the world, innermost first.
+    pub motions: Vec<Motion>,
+    /// Whether the group was mirrored when it was compiled.
+    mirrored: bool,
     /// Light index of its first emitter.
     pub first_light: u32,
 }
@@ -115,11 +119,11 @@ pub struct Prepared {
 }
 
 /// Where a frame is seen from.
-struct Sight<'a> {
-    camera: &'a Camera,
-    film: [u32; 2],
-    shutter: [f64; 2],
-    origin: DVec3,
+pub(crate) struct Sight<'a> {
+    pub camera: &'a Camera,
+    pub film: [u32; 2],
+    pub shutter: [f64; 2],
+    pub origin: DVec3,
 }
 
 impl<'a> Sight<'a> {
@@ -247,7 +251,7 @@ fn build(
         lights: Vec::new(),
         entries: Vec::new(),
     };
-    for group in &placed {
+    for group in placed {
         assembly.place(group);
     }
     let media = media(scene, now, origin, materials.iter().any(|m| m.inside.is_some()));
@@ -335,45 +339,30 @@ struct Assembly<'a> {
 }
 
 impl Assembly<'_> {
-    /// Compiled frame to prepared frame at `time`.
-    fn pose(&self, placed: &Placed, time: f64) -> DAffine3 {
-        let mut pose = DAffine3::from_translation(placed.compiled.center);
-        if placed.mirrored {
-            pose = mirror() * pose;
-        }
-        for motion in &placed.motions {
-            pose = motion.at(&self.now.paths, time) * pose;
-        }
-        DAffine3::from_translation(-self.origin) * pose
-    }
-
-    fn place(&mut self, placed: &Placed) {
-        let [open, close] = self.shutter;
-        let moves = close > open && placed.motions.iter().any(|m| m.is_animated(&self.now.paths));
-        let first = self.pose(placed, open);
-        let pose = if moves {
-            let steps = pose_count(&first, &self.pose(placed, close));
-            let at = |k: usize| self.pose(placed, open + (close - open) * k as f64 / (steps - 1) as f64);
-            Pose::Moving((0..steps).map(|k| affine(&at(k))).collect())
-        } else {
-            Pose::Fixed(affine(&first))
+    fn place(&mut self, placed: Placed) {
+        let (paths, origin) = (&self.now.paths, self.origin);
+        let instance = PlacedGroup {
+            compiled: placed.compiled,
+            motions: placed.motions,
+            mirrored: placed.mirrored,
+            first_light: self.lights.len() as u32,
         };
-        let instance = self.inputs.len() as u32;
-        let first_light = self.lights.len() as u32;
-        let carrier = if moves { instance } else { NONE };
+        let (pose, first) = instance.pose_over(self.shutter, paths, origin);
+        let moves = matches!(pose, Pose::Moving(_));
+        let carrier = if moves { self.inputs.len() as u32 } else { NONE };
         let to_frame = if moves { DAffine3::IDENTITY } else { first };
-        self.add_emitters(&placed.compiled, carrier, &to_frame);
+        self.add_emitters(&instance.compiled, carrier, &to_frame);
         // The tracer's surface is rounded in the compiled frame and again by the pose: the light's points are only that near.
         if first != DAffine3::IDENTITY {
-            let bounds = placed.compiled.blas.bounds();
+            let bounds = instance.compiled.blas.bounds();
             let local = bounds.min.abs().max(bounds.max.abs()).max_element();
             let scale = double::cbrt(first.matrix3.determinant().abs()) as f32;
             let shift = first.translation.abs().max_element() as f32;
             let slack = femc_math::gamma(8) * (local * scale + shift);
-            self.entries[first_light as usize..].iter_mut().for_each(|e| e.slack = slack);
+            self.entries[instance.first_light as usize..].iter_mut().for_each(|e| e.slack = slack);
         }
-        self.inputs.push(InstanceInput { blas: placed.compiled.blas.clone(), pose });
-        self.instances.push(PlacedGroup { compiled: placed.compiled.clone(), first_light });
+        self.inputs.push(InstanceInput { blas: instance.compiled.blas.clone(), pose });
+        self.instances.push(instance);
     }
 
     fn add_emitters(&mut self, compiled: &Compiled, carrier: u32, to_frame: &DAffine3) {
@@ -388,6 +377,31 @@ impl Assembly<'_> {
         for primitive in compiled.primitives.iter().filter(|p| p.emitter != NONE && p.corners != NONE) {
             self.entries[first + primitive.emitter as usize].uv = compiled.corners[primitive.corners as usize].uv;
         }
+    }
+}
+
+impl PlacedGroup {
+    /// Compiled frame to prepared frame at `time`, s.
+    fn pose(&self, time: f64, paths: &[MotionPath], origin: DVec3) -> DAffine3 {
+        let mut pose = DAffine3::from_translation(self.compiled.center);
+        if self.mirrored {
+            pose = mirror() * pose;
+        }
+        for motion in &self.motions {
+            pose = motion.at(paths, time) * pose;
+        }
+        DAffine3::from_translation(-origin) * pose
+    }
+
+    /// The same over a shutter; and at its opening.
+    pub(crate) fn pose_over(&self, [open, close]: [f64; 2], paths: &[MotionPath], origin: DVec3) -> (Pose, DAffine3) {
+        let first = self.pose(open, paths, origin);
+        if close <= open || !self.motions.iter().any(|motion| motion.is_animated(paths)) {
+            return (Pose::Fixed(affine(&first)), first);
+        }
+        let steps = pose_count(&first, &self.pose(close, paths, origin));
+        let at = |k: usize| self.pose(open + (close - open) * k as f64 / (steps - 1) as f64, paths, origin);
+        (Pose::Moving((0..steps).map(|k| affine(&at(k))).collect()), first)
     }
 }
 
@@ -457,7 +471,11 @@ fn phase(phase: &femc_scene::Phase) -> Phase {
     }
 }
 
-fn kernel_camera(paths: &[MotionPath], spec: &FrameSpec, sight: &Sight<'_>) -> Result<KernelCamera, PrepareError> {
+pub(crate) fn kernel_camera(
+    paths: &[MotionPath],
+    spec: &FrameSpec,
+    sight: &Sight<'_>,
+) -> Result<KernelCamera, PrepareError> {
     let Sight { camera, film, shutter, origin } = *sight;
     let steps = if camera.is_animated(paths) && shutter[1] > shutter[0] { 5 } else { 1 };
     let poses = (0..steps).map(|k| {

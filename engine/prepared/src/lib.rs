@@ -15,6 +15,7 @@ pub mod texture;
 
 mod frame;
 pub mod names;
+mod next;
 pub mod outline;
 pub mod sightings;
 mod source;
@@ -24,5 +25,6 @@ mod twins;
 pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, frame_key, prepare, prepare_of_brightness_one};
 pub use lights::Lights;
 pub use material::{Crossing, KernelMaterial, Orientation};
+pub use next::NextFrame;
 pub use source::Source;
 pub use surface::SurfacePoint;

@@ -116,6 +116,15 @@ impl Scene {
     }
 }
 
+impl FrameKey {
+    /// What a frame is made from that tells of the next one, too: its view is that of both.
+    pub fn before(self, next: &Self) -> Self {
+        let mut canonical = Canonical::of("view and next");
+        canonical.value(&(self.view, next.view));
+        Self { view: canonical.digest(), ..self }
+    }
+}
+
 impl Canonical {
     /// A path as one frame sees it; one that is not there is none.
     fn path(&mut self, path: Option<&MotionPath>, shutter: [f64; 2]) {

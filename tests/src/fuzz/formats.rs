@@ -6,7 +6,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use bytes::Bytes;
 use femc_field::{FogCell, FogTree, Line};
-use femc_film::{Errors, Frame, Levels, Piece, Rect, Sample, Tile, Tiling};
+use femc_film::tile::OPEN;
+use femc_film::{
+    BesidePiece, BesideTile, Errors, FeatureLayout, FeatureSums, FeatureTile, Frame, LayerSums, LayerTile, Levels,
+    Piece, Rect, Sample, Tile, Tiling,
+};
 use femc_geometry::Hit;
 use femc_import::Bundle;
 use femc_math::Rgb;
@@ -33,6 +37,7 @@ const LIMIT: u64 = 1 << 20;
 pub(super) fn targets() -> Vec<Target> {
     let mut all = scenes();
     all.extend(film());
+    all.extend(beside());
     all.extend(first_pass());
     all.extend(paths());
     all.extend(log());
@@ -166,6 +171,58 @@ fn film() -> Vec<Target> {
         Target::of("thumbnail", vec![thumbnail], |bytes| Tile::decode_thumbnail(bytes).is_ok()),
         Target::of("levels", vec![levels], |bytes| Levels::decode(bytes).is_ok()),
         Target::of("sums", vec![sums], |bytes| decode_sums(bytes).is_ok()),
+    ]
+}
+
+/// Layers and features of a tile, and both of several.
+fn beside() -> Vec<Target> {
+    let (tiling, rect) = (Tiling::new(4, 3, 8).expect("a tiling"), Rect { x: 0, y: 0, width: 4, height: 3 });
+    let (mut light, mut features) = (LayerSums::default(), FeatureSums::new(FeatureLayout { values: 2, ids: 2 }));
+    light.add(1, Rgb::new(1.0, 2.0, 0.5));
+    light.count(1);
+    for pixel in 0..12 {
+        features.begin_pixel();
+        features.add(None);
+        features.add(Some((&[1.5, -f64::from(pixel)], &[pixel, 0x3f80_0000])));
+        features.add(Some((&[0.5, 3.0], &[7, 0x3f00_0000])));
+    }
+    let tile = BesideTile {
+        light: Some(LayerTile::of_pixels(rect, 0..4, 1, &[light; 12]).expect("layers")),
+        features: Some(FeatureTile::new(rect, 0..4, features).expect("features")),
+    };
+    let mut piece = BesidePiece::new(tiling, 0);
+    piece.put(&tile, OPEN).expect("the first tile");
+    let [layers, features] =
+        [tile.light.as_ref().map(LayerTile::encode), tile.features.as_ref().map(FeatureTile::encode)]
+            .map(|bytes| bytes.expect("it is there"));
+    // Behind the header of features: magic, version, checksum, eight words, and one for each kind of ids.
+    let (front, planes) = features.split_at(28 + 10 * 4);
+    let (front, planes) = (front.to_vec(), zstd::bulk::decompress(planes, 1 << 16).expect("what was compressed"));
+    let dress =
+        move |planes: &[u8]| sealed(&[&front[..], &zstd::bulk::compress(planes, 1).expect("it compresses")].concat());
+    let is_tile = |bytes: &[u8]| {
+        let Ok(tile) = BesideTile::decode(bytes) else { return false };
+        assert!(BesideTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
+        true
+    };
+    let are_features = |bytes: &[u8]| {
+        let Ok(tile) = FeatureTile::decode(bytes) else { return false };
+        assert!(FeatureTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
+        // What is accepted can be united with itself, and resolved.
+        let BesideTile { features, .. } =
+            BesideTile::united(vec![BesideTile { light: None, features: Some(tile) }], 0, OPEN).expect("one part");
+        features.is_some()
+    };
+    let is_piece = |bytes: &[u8]| BesidePiece::decode(bytes).is_ok();
+    vec![
+        Target::of("layers", vec![layers.clone()], |bytes| LayerTile::decode(bytes).is_ok()),
+        Target::dressed("layers, inside", vec![layers], sealed, |bytes| LayerTile::decode(bytes).is_ok()),
+        Target::dressed("features, inside", vec![features], sealed, are_features),
+        Target::dressed("features, sums", vec![planes], dress, are_features),
+        Target::of("beside", vec![tile.encode()], is_tile),
+        Target::dressed("beside, inside", vec![tile.encode()], sealed, is_tile),
+        Target::of("piece beside", vec![piece.encode()], is_piece),
+        Target::dressed("piece beside, inside", vec![piece.encode()], sealed, is_piece),
     ]
 }
 

@@ -1,15 +1,16 @@
-//! Layers: the sums of tiles, united and resolved in groups when it is known which samples count, and put together beside the picture.
+//! Layers and features: the sums of tiles, united and resolved in groups when it is known which samples count, and put together beside the picture.
 
 use std::collections::BTreeMap;
 
 use femc_film::tile::OPEN;
-use femc_film::{FrameImage, LayerImage, LayerPiece, LayerTile, Provenance, exr};
+use femc_film::{BesidePiece, BesideTile, FeatureImage, FilmError, FrameImage, LayerImage, Provenance, exr};
 use femc_model::{Failure, Phase, Role, Template};
-use femc_pipeline::Settings;
+use femc_pipeline::{Settings, cryptomatte, feature_channels, feature_layout, feature_mattes};
+use femc_scene::Scene;
 
 use super::image::damaged_picture;
 use super::union::{Lost, expected, groups, stops, tiles, tiling};
-use super::{Product, Tools};
+use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
@@ -25,7 +26,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     for input in task.assignment.work.of_role(Role::Layers) {
         inputs.entry(input.item).or_default().push(input.output.artifact);
     }
-    let (mut lost, mut piece) = (Lost::default(), LayerPiece::new(tiling, span.start as usize));
+    let (mut lost, mut piece) = (Lost::default(), BesidePiece::new(tiling, span.start as usize));
     for (place, (tile, artifacts)) in inputs.iter().enumerate() {
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
@@ -35,7 +36,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         let here = lost.fetch(task, artifacts, tools)?;
         tools.install(task, || {
             for (artifact, bytes) in &here {
-                lost.check(*artifact, LayerTile::decode(bytes).map(|part| parts.push(part)));
+                lost.check(*artifact, BesideTile::decode(bytes).map(|part| parts.push(part)));
             }
         });
         if parts.len() < artifacts.len() {
@@ -43,9 +44,9 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         }
         // A tile without its parts, or with others than its samples, is made again.
         let given = expected(task, place).end;
-        let united = LayerTile::united(parts, begin, ends).map_err(|error| error.to_string()).and_then(|all| {
+        let united = BesideTile::united(parts, begin, ends).map_err(|error| error.to_string()).and_then(|all| {
             let samples = all.samples();
-            if (samples.start, samples.end) == (begin, given) {
+            if samples.is_some_and(|samples| (samples.start, samples.end) == (begin, given)) {
                 piece.put(&all, ends).map_err(|error| error.to_string())
             } else {
                 Err(format!("tile {tile} holds the layers of samples {samples:?}, not {begin}..{given}"))
@@ -71,15 +72,50 @@ pub(super) fn of_frame(
     task: &Task,
     tools: &Tools,
     settings: &Settings,
+    scene: &Scene,
     image: &FrameImage,
     provenance: &Provenance,
 ) -> Result<Vec<u8>, Failure> {
     let (watch, tiling) = (Stopwatch::start(), tiling(task)?);
+    let has = (!settings.layers.is_empty(), !settings.features.is_empty());
     let names = settings.layers.iter().map(|layer| layer.name.clone());
-    let mut layers = LayerImage::black(names, tiling.width, tiling.height);
-    let account = |piece: &LayerPiece| (piece.tiling(), piece.tiles(), piece.samples().to_vec());
-    groups(task, Role::LayerPixels, tools, LayerPiece::decode, account, |piece| LayerImage::put(&mut layers, &piece))?;
-    let file = tools.install(task, || exr::encode_layers(image, &layers, provenance));
-    tracing::debug!(layers = layers.len(), seconds = watch.seconds(), "layers are put together");
+    let mut light = LayerImage::black(names, tiling.width, tiling.height);
+    let mut features = FeatureImage::new(feature_layout(&settings.features), tiling.width, tiling.height);
+    let account = |piece: &BesidePiece| (piece.tiling(), piece.tiles(), piece.samples().to_vec());
+    groups(task, Role::LayerPixels, tools, BesidePiece::decode, account, |piece| {
+        if (piece.light.is_some(), piece.features.is_some()) != has {
+            return Err(FilmError::Corrupt("layers or features that the job has not, or that are not there"));
+        }
+        piece.light.iter().try_for_each(|piece| LayerImage::put(&mut light, piece))?;
+        piece.features.iter().try_for_each(|piece| features.put(piece))
+    })?;
+    let texts = mattes(settings, scene, &features)?;
+    let names = if has.1 { feature_channels(&settings.features) } else { Vec::new() };
+    let features: Vec<(String, Vec<f32>)> = names.into_iter().zip(features.channels).collect();
+    let file = tools.install(task, || exr::encode_layers(image, &light, &features, &texts, provenance));
+    tracing::debug!(
+        layers = light.len(),
+        features = features.len(),
+        seconds = watch.seconds(),
+        "layers are put together"
+    );
     file.map_err(|error| damaged_picture(&error))
+}
+
+/// What the file tells of its Cryptomattes: how ids were made, and the names of those that are in the frame.
+fn mattes(settings: &Settings, scene: &Scene, image: &FeatureImage) -> Result<Vec<(String, String)>, Failure> {
+    let mut texts = Vec::new();
+    for (kind, (matte, names)) in feature_mattes(&settings.features, scene).into_iter().enumerate() {
+        let there = image.ids(kind);
+        let named = names.iter().filter(|(_, id)| there.contains(id));
+        let manifest: BTreeMap<&str, String> = named.map(|(name, id)| (name.as_str(), format!("{id:08x}"))).collect();
+        let all = [
+            ("name", matte.to_owned()),
+            ("hash", "MurmurHash3_32".to_owned()),
+            ("conversion", "uint32_to_float32".to_owned()),
+            ("manifest", serde_json::to_string(&manifest).map_err(unfit)?),
+        ];
+        texts.extend(all.map(|(what, text)| (cryptomatte::attribute(matte, what), text)));
+    }
+    Ok(texts)
 }

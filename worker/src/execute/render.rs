@@ -4,7 +4,9 @@ use std::sync::atomic::Ordering;
 
 use femc_film::Rect;
 use femc_model::{Failure, Phase, Role, Template, TileRect, Work};
-use femc_pipeline::{LayerPlan, RenderError, StatisticsPlan, render_tile, render_with_layers, render_with_statistics};
+use femc_pipeline::{
+    FeaturePlan, LayerPlan, RenderError, StatisticsPlan, render_beside, render_tile, render_with_statistics,
+};
 
 use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
@@ -31,15 +33,18 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     let rendered = tools.install(task, || {
         let makes = |role| stage.makes.contains(&role);
         let statistics = makes(Role::Paths).then(|| StatisticsPlan::of(&prepared, settings, grid.tile));
-        let layers = makes(Role::Layers).then(|| LayerPlan::of(&prepared, settings)).transpose().map_err(unfit)?;
-        let outcome = match (&layers, &statistics) {
-            (Some(layers), of) => {
-                render_with_layers(&prepared, settings, layers, of.as_ref(), rect, range, cancel, units)
-                    .map(|(rendered, layers, of)| (rendered, of, Some(layers)))
+        let outcome = match (makes(Role::Layers), &statistics) {
+            (true, of) => {
+                let has_light = !settings.layers.is_empty();
+                let light = has_light.then(|| LayerPlan::of(&prepared, settings)).transpose().map_err(unfit)?;
+                let features = FeaturePlan::of(&prepared, settings).map_err(unfit)?;
+                let plans = (light.as_ref(), features.as_ref());
+                render_beside(&prepared, settings, plans, of.as_ref(), rect, range, cancel, units)
+                    .map(|(rendered, beside, of)| (rendered, of, Some(beside)))
             }
-            (None, Some(of)) => render_with_statistics(&prepared, settings, of, rect, range, cancel, units)
+            (false, Some(of)) => render_with_statistics(&prepared, settings, of, rect, range, cancel, units)
                 .map(|(rendered, of)| (rendered, Some(of), None)),
-            (None, None) => {
+            (false, None) => {
                 render_tile(&prepared, settings, rect, range, cancel, units).map(|rendered| (rendered, None, None))
             }
         };

@@ -26,7 +26,7 @@ pub struct Beside {
 impl Beside {
     /// Of frames with these settings.
     pub fn of(settings: &Settings) -> Self {
-        Self { statistics: settings.statistics, layers: !settings.layers.is_empty() }
+        Self { statistics: settings.statistics, layers: settings.has_layers() }
     }
 
     /// The files beside a picture.

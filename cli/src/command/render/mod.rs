@@ -138,7 +138,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
             report.previews.extend(shown.iter().map(|path| path.display().to_string()));
         }
     }
-    if !asked.settings.layers.is_empty() {
+    if asked.settings.has_layers() {
         let files = report.files.iter().map(|file| layers_of(file.as_ref()).display().to_string());
         report.layers = files.collect();
     }

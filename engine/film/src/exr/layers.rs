@@ -1,46 +1,104 @@
-//! Reading channels by name, besides the colors: what the renderer knows of each pixel.
+//! Reading channels by name, besides the colors: what the renderer knows of each pixel, layers of light.
 
 use super::read::{check, failed};
-use crate::FilmError;
+use crate::{FilmError, Image};
 use exr::meta::MetaData;
 use exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read as exr_read};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
+
+/// All channels of a file, by name, as floats, row by row.
+#[derive(Clone, Debug)]
+pub struct Channels {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    named: BTreeMap<String, Vec<f32>>,
+}
+
+impl Channels {
+    /// Reads the file at `path`.
+    /// - errors: it is no flat EXR file.
+    pub fn read(path: &Path) -> Result<Self, FilmError> {
+        let file = File::open(path).map_err(|cause| FilmError::File { path: path.into(), cause })?;
+        Self::decode(BufReader::new(file)).map_err(|e| e.in_file(path))
+    }
+
+    /// The same from a seekable source.
+    pub fn decode(mut file: impl Read + Seek) -> Result<Self, FilmError> {
+        let broken = |e: std::io::Error| FilmError::Format { what: "reading EXR", cause: e.to_string() };
+        let length = file.seek(SeekFrom::End(0)).map_err(broken)?;
+        file.rewind().map_err(broken)?;
+        let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| failed(&e))?;
+        meta.headers.iter().try_for_each(|header| check(header, length))?;
+        file.rewind().map_err(broken)?;
+        let read =
+            exr_read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
+        let layer = read.non_parallel().from_buffered(file).map_err(|e| failed(&e))?.layer_data;
+        let (width, height) = (layer.size.width() as u32, layer.size.height() as u32);
+        let floats = |samples: FlatSamples| match samples {
+            FlatSamples::F16(values) => values.iter().map(|value| value.to_f32()).collect(),
+            FlatSamples::F32(values) => values,
+            FlatSamples::U32(values) => values.iter().map(|&value| value as f32).collect(),
+        };
+        let channels = layer.channel_data.list.into_iter();
+        let named = channels.map(|channel| (channel.name.to_string(), floats(channel.sample_data))).collect();
+        Ok(Self { width, height, named })
+    }
+
+    /// The channel of this name.
+    pub fn get(&self, name: &str) -> Option<&[f32]> {
+        self.named.get(name).map(Vec::as_slice)
+    }
+
+    /// Names of the layers that are colors, without their variances: those with channels `NAME.R`, `NAME.G` and `NAME.B`, by the alphabet.
+    pub fn colors(&self) -> Vec<&str> {
+        let names = self.named.keys().filter_map(|name| name.strip_suffix(".R"));
+        let is_variance = |name: &str| name == "variance" || name.ends_with(".variance");
+        names.filter(|name| !is_variance(name) && self.of_layer(name).is_some()).collect()
+    }
+
+    /// The colors of a layer; those of the picture itself have no name. `None`: there are none.
+    pub fn color(&self, layer: &str) -> Option<Image> {
+        let [r, g, b] = self.of_layer(layer)?;
+        let pixels = r.iter().zip(g).zip(b).map(|((r, g), b)| [*r, *g, *b]).collect();
+        Some(Image { width: self.width, height: self.height, pixels })
+    }
+
+    fn of_layer(&self, layer: &str) -> Option<[&[f32]; 3]> {
+        let channel = |channel| match layer {
+            "" => self.get(channel),
+            _ => self.get(&format!("{layer}.{channel}")),
+        };
+        Some([channel("R")?, channel("G")?, channel("B")?])
+    }
+}
 
 /// Reads the channels `names` of the file at `path`, as floats, row by row.
 /// - returns: width, height, and the channels in the order of `names`;
 /// - errors: the file has no such channel, or is no flat EXR file.
 pub fn read_channels<const N: usize>(path: &Path, names: [&str; N]) -> Result<(u32, u32, [Vec<f32>; N]), FilmError> {
-    let file = File::open(path).map_err(|cause| FilmError::File { path: path.into(), cause })?;
-    decode_channels(BufReader::new(file), names).map_err(|e| e.in_file(path))
+    Channels::read(path).and_then(|channels| named(channels, names).map_err(|e| e.in_file(path)))
 }
 
 /// The same from a seekable source.
 pub fn decode_channels<const N: usize>(
-    mut file: impl Read + Seek,
+    file: impl Read + Seek,
     names: [&str; N],
 ) -> Result<(u32, u32, [Vec<f32>; N]), FilmError> {
-    let broken = |e: std::io::Error| FilmError::Format { what: "reading EXR", cause: e.to_string() };
-    let length = file.seek(SeekFrom::End(0)).map_err(broken)?;
-    file.rewind().map_err(broken)?;
-    let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| failed(&e))?;
-    meta.headers.iter().try_for_each(|header| check(header, length))?;
-    file.rewind().map_err(broken)?;
-    let read = exr_read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
-    let layer = read.non_parallel().from_buffered(file).map_err(|e| failed(&e))?.layer_data;
+    named(Channels::decode(file)?, names)
+}
+
+fn named<const N: usize>(mut channels: Channels, names: [&str; N]) -> Result<(u32, u32, [Vec<f32>; N]), FilmError> {
     let mut found = names.map(|_| Vec::new());
     for (name, values) in names.iter().zip(&mut found) {
-        let channel = layer.channel_data.list.iter().find(|channel| channel.name.to_string() == *name);
-        let channel = channel.ok_or_else(|| FilmError::Format {
+        *values = channels.named.remove(*name).ok_or_else(|| FilmError::Format {
             what: "reading EXR",
             cause: format!("it has no channel `{name}`, which femc's frames have"),
         })?;
-        *values = match &channel.sample_data {
-            FlatSamples::F16(values) => values.iter().map(|value| value.to_f32()).collect(),
-            FlatSamples::F32(values) => values.clone(),
-            FlatSamples::U32(values) => values.iter().map(|&value| value as f32).collect(),
-        };
     }
-    Ok((layer.size.width() as u32, layer.size.height() as u32, found))
+    Ok((channels.width, channels.height, found))
 }

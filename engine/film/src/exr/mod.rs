@@ -5,7 +5,7 @@ mod named;
 mod read;
 mod write;
 
-pub use layers::{decode_channels, read_channels};
+pub use layers::{Channels, decode_channels, read_channels};
 pub use named::{NamedChannel, Precision, encode_named};
 pub use read::{ExrFile, decode, read, read_attributes};
 pub use write::{Provenance, UNLIT, encode, encode_layers, errors, write};

@@ -93,16 +93,26 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
 }
 
 /// Encodes the colors of `image`, `samples.Y`, and of each layer its color and the variance of that: `NAME.R G B` and
-/// `NAME.variance.R G B`. What the attributes tell is the same however long it took: the same bytes for the same layers.
-pub fn encode_layers(image: &FrameImage, layers: &[LayerImage], provenance: &Provenance) -> Result<Vec<u8>, FilmError> {
+/// `NAME.variance.R G B`; and other channels by name, such as features. What the attributes tell is the same however long it took: the
+/// same bytes for the same layers.
+/// - `texts`: attributes more, by name.
+pub fn encode_layers(
+    image: &FrameImage,
+    layers: &[LayerImage],
+    others: &[(String, Vec<f32>)],
+    texts: &[(String, String)],
+    provenance: &Provenance,
+) -> Result<Vec<u8>, FilmError> {
     let mut channels = color("", &image.color.pixels);
     channels.push(AnyChannel::new("samples.Y", FlatSamples::U32(image.samples.clone())));
     for LayerImage { name, color: mean, variance } in layers {
         channels.extend(color(&format!("{name}."), mean));
         channels.extend(color(&format!("{name}.variance."), variance));
     }
+    channels.extend(others.iter().map(|(name, values)| floats(name, values.iter().copied())));
     let seconds = format!("{ATTRIBUTE_PREFIX}seconds");
-    let attributes = provenance.attributes().into_iter().filter(|(name, _)| *name != seconds).collect();
+    let attributes = provenance.attributes().into_iter().filter(|(name, _)| *name != seconds);
+    let attributes = attributes.chain(texts.iter().cloned()).collect();
     encode_channels([image.color.width, image.color.height], channels, attributes)
 }
 

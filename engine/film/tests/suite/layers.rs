@@ -2,7 +2,7 @@
 
 use femc_film::tile::OPEN;
 use femc_film::{
-    FilmError, Frame, LayerImage, LayerPiece, LayerSums, LayerTile, Rect, Sample, SampleRange, Tile, Tiling,
+    FilmError, Frame, LayerImage, LayerLight, LayerPiece, LayerSums, LayerTile, Rect, Sample, SampleRange, Tile, Tiling,
 };
 use femc_math::{Rgb, hash};
 use proptest::prelude::*;
@@ -21,16 +21,20 @@ fn light(x: u32, y: u32, sample: u32) -> [Rgb; LAYERS] {
     })
 }
 
+fn summed(mut counts: LayerSums, light: &mut LayerLight) -> LayerSums {
+    counts.merge(&light.take().unwrap_or_default());
+    counts
+}
+
 fn layers(rect: Rect, samples: std::ops::Range<u32>) -> LayerTile {
     let mut sums = Vec::new();
     for (x, y) in rect.pixels() {
-        let mut pixel = [LayerSums::default(); LAYERS];
+        let (mut counts, mut all) = (LayerSums::default(), [(); LAYERS].map(|()| LayerLight::default()));
         for sample in samples.clone() {
-            pixel[0].count(sample);
-            let light = light(x, y, sample);
-            pixel.iter_mut().zip(light).for_each(|(sums, color)| sums.add(sample, color));
+            counts.count(sample);
+            all.iter_mut().zip(light(x, y, sample)).for_each(|(light, color)| light.add(sample, color));
         }
-        sums.extend(pixel);
+        sums.extend(all.map(|mut light| summed(counts, &mut light)));
     }
     LayerTile::of_pixels(rect, samples, LAYERS as u32, &sums).unwrap()
 }
@@ -97,14 +101,14 @@ fn a_single_layer_of_all_light_has_the_variance_of_the_picture() {
     let rect = tiling().rect(1).unwrap();
     let (mut tile, mut sums) = (Tile::new(rect, 0..8).unwrap(), Vec::new());
     for (x, y) in rect.pixels() {
-        let mut pixel = LayerSums::default();
+        let (mut counts, mut all) = (LayerSums::default(), LayerLight::default());
         for sample in 0..8 {
             let color = light(x, y, sample)[0];
             tile.add(x, y, sample, &Sample { color, albedo: Rgb::ZERO, depth: 1.0 });
-            pixel.count(sample);
-            pixel.add(sample, color);
+            counts.count(sample);
+            all.add(sample, color);
         }
-        sums.push(pixel);
+        sums.push(summed(counts, &mut all));
     }
     let mut frame = Frame::new(tiling());
     frame.insert(tile).unwrap();

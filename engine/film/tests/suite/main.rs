@@ -2,6 +2,7 @@
 
 mod codec;
 mod exr;
+mod features;
 mod layers;
 mod merge;
 mod metrics;

@@ -10,13 +10,17 @@
 //! - a lamp, however it was found: `L`; a medium that glows: `O`. There is no background, `B`;
 //! - surfaces that light goes straight through: none, since the way to a lamp leads through them, too.
 
+mod features;
 mod recorder;
+
+pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes, render_beside};
 
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;
 use crate::statistics::{StatisticsPlan, render_with_statistics_and};
-use femc_film::{LayerSums, LayerTile, Rect};
-use femc_layers::{Automaton, LabelSet, Layer, LayerError, Vocabulary, parse_all};
+use femc_film::{FilmError, LayerSums, LayerTile, Rect};
+use femc_layers::{Automaton, LabelSet, Labels, Layer, LayerError, Vocabulary, parse_all};
+use femc_montecarlo::Recorder;
 use femc_paths::Statistics;
 use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId, Scene};
@@ -31,11 +35,16 @@ pub struct LayerPlan {
     automaton: Automaton,
     /// Number of layers.
     count: usize,
-    /// Label sets; empty where no layer names anything.
-    objects: Vec<LabelSet>,
-    materials: Vec<LabelSet>,
-    media: Vec<LabelSet>,
-    lamps: Vec<LabelSet>,
+    /// What has no labels.
+    plain: Labels,
+    /// By object its row in `surfaces`, by material its place in the row. Empty, as what follows, where no layer names anything.
+    objects: Vec<u32>,
+    materials: Vec<u32>,
+    surfaces: Vec<Labels>,
+    media: Vec<Labels>,
+    lamps: Vec<Labels>,
+    /// Whether no surface and no medium has labels.
+    are_alike: bool,
 }
 
 impl LayerPlan {
@@ -44,29 +53,37 @@ impl LayerPlan {
     pub fn of(prepared: &Prepared, settings: &Settings) -> Result<Self, LayerError> {
         let (layers, scene) = (&settings.layers, &prepared.scene);
         let vocabulary = Automaton::vocabulary(layers)?;
-        let mut plan = Self {
-            automaton: Automaton::new(layers, &vocabulary, [LabelSet::default()])?,
-            count: layers.len(),
-            objects: Vec::new(),
-            materials: Vec::new(),
-            media: Vec::new(),
-            lamps: Vec::new(),
+        let is_labelled = !vocabulary.labels().is_empty();
+        let all = |names: &mut dyn Iterator<Item = LabelSet>| if is_labelled { names.collect() } else { Vec::new() };
+        let objects = all(&mut scene.objects.iter().map(|object| vocabulary.set(&[&object.name])));
+        let material = |material: usize| vocabulary.set(&[prepared.material_name(material as u32)]);
+        let materials = all(&mut (0..prepared.materials.len()).map(material));
+        let media = all(&mut scene.media.iter().map(|medium| vocabulary.set(&[&medium.name])));
+        let lamp = |light: usize| lamp_set(prepared, &vocabulary, light as u32);
+        let lamps = all(&mut (0..prepared.lights.len()).map(lamp));
+        // Ascending, so that what has no labels is the first.
+        let unique = |sets: &[LabelSet]| {
+            let all: BTreeSet<_> = sets.iter().copied().chain([LabelSet::default()]).collect();
+            all.into_iter().collect::<Vec<_>>()
         };
-        if vocabulary.labels().is_empty() {
-            return Ok(plan);
-        }
-        plan.objects = scene.objects.iter().map(|object| vocabulary.set(&[&object.name])).collect();
-        plan.materials = (0..prepared.materials.len())
-            .map(|material| vocabulary.set(&[prepared.material_name(material as u32)]))
-            .collect();
-        plan.media = scene.media.iter().map(|medium| vocabulary.set(&[&medium.name])).collect();
-        plan.lamps = (0..prepared.lights.len()).map(|light| lamp_set(prepared, &vocabulary, light as u32)).collect();
-        let unique = |sets: &[LabelSet]| sets.iter().copied().chain([LabelSet::default()]).collect::<BTreeSet<_>>();
-        let (objects, materials) = (unique(&plan.objects), unique(&plan.materials));
-        let surfaces = objects.iter().flat_map(|object| materials.iter().map(|material| object.union(*material)));
-        let sets = surfaces.chain(plan.media.iter().copied()).chain(plan.lamps.iter().copied());
-        plan.automaton = Automaton::new(layers, &vocabulary, sets)?;
-        Ok(plan)
+        let (rows, columns) = (unique(&objects), unique(&materials));
+        let surfaces: Vec<LabelSet> =
+            rows.iter().flat_map(|object| columns.iter().map(|material| object.union(*material))).collect();
+        let automaton = Automaton::new(layers, &vocabulary, surfaces.iter().chain(&media).chain(&lamps).copied())?;
+        let plain = automaton.labels(LabelSet::default()).unwrap_or_default();
+        let known = |sets: Vec<LabelSet>| sets.into_iter().map(|set| automaton.labels(set).unwrap_or(plain)).collect();
+        let place = |all: &[LabelSet], set: &LabelSet| all.partition_point(|one| one < set);
+        Ok(Self {
+            count: layers.len(),
+            plain,
+            are_alike: surfaces.iter().chain(&media).all(|set| *set == LabelSet::default()),
+            objects: objects.iter().map(|set| (place(&rows, set) * columns.len()) as u32).collect(),
+            materials: materials.iter().map(|set| place(&columns, set) as u32).collect(),
+            surfaces: known(surfaces),
+            media: known(media),
+            lamps: known(lamps),
+            automaton,
+        })
     }
 
     /// Number of layers.
@@ -79,22 +96,27 @@ impl LayerPlan {
         &self.automaton
     }
 
-    /// Whether what things are called matters.
-    fn is_labelled(&self) -> bool {
-        !self.objects.is_empty() || !self.materials.is_empty()
+    /// The layers of a tile, which these recorders have heard of in order.
+    fn tile(&self, rect: Rect, samples: Range<u32>, recorders: Vec<LayerRecorder<'_>>) -> Result<LayerTile, FilmError> {
+        let sums: Vec<LayerSums> = recorders.into_iter().flat_map(LayerRecorder::into_sums).collect();
+        LayerTile::of_pixels(rect, samples, self.count as u32, &sums)
     }
 
-    fn surface(&self, object: Option<ObjectId>, material: u32) -> LabelSet {
-        let object = object.and_then(|object| self.objects.get(object.index())).copied().unwrap_or_default();
-        object.union(self.materials.get(material as usize).copied().unwrap_or_default())
+    #[inline]
+    fn surface(&self, object: Option<ObjectId>, material: u32) -> Labels {
+        let row = object.and_then(|object| self.objects.get(object.index())).copied().unwrap_or_default();
+        let column = self.materials.get(material as usize).copied().unwrap_or_default();
+        self.surfaces.get((row + column) as usize).copied().unwrap_or(self.plain)
     }
 
-    fn medium(&self, medium: u16) -> LabelSet {
-        self.media.get(usize::from(medium)).copied().unwrap_or_default()
+    #[inline]
+    fn medium(&self, medium: u16) -> Labels {
+        self.media.get(usize::from(medium)).copied().unwrap_or(self.plain)
     }
 
-    fn lamp(&self, light: Option<u32>) -> LabelSet {
-        light.and_then(|light| self.lamps.get(light as usize)).copied().unwrap_or_default()
+    #[inline]
+    fn lamp(&self, light: Option<u32>) -> Labels {
+        light.and_then(|light| self.lamps.get(light as usize)).copied().unwrap_or(self.plain)
     }
 }
 
@@ -173,20 +195,29 @@ pub fn render_with_layers(
     cancel: &AtomicBool,
     progress: &AtomicU64,
 ) -> Result<(RenderedTile, LayerTile, Option<Statistics>), RenderError> {
-    let recorder = || LayerRecorder::new(plan, prepared);
-    let (range, (rendered, recorders, statistics)) = match statistics {
+    let task = (prepared, settings, statistics, rect, samples.clone(), cancel, progress);
+    let (rendered, recorders, statistics) = recorded(task, || LayerRecorder::new(plan, prepared))?;
+    Ok((rendered, plan.tile(rect, samples, recorders)?, statistics))
+}
+
+/// What is rendered: a frame, with what settings and statistics, which pixels and samples; what cancels it, and where it counts samples.
+type Task<'a> =
+    (&'a Prepared, &'a Settings, Option<&'a StatisticsPlan>, Rect, Range<u32>, &'a AtomicBool, &'a AtomicU64);
+
+/// Renders samples of a tile with recorders of some kind; returns these in order, too.
+fn recorded<R: Recorder + Send>(
+    (prepared, settings, statistics, rect, samples, cancel, progress): Task<'_>,
+    recorder: impl Fn() -> R + Sync,
+) -> Result<(RenderedTile, Vec<R>, Option<Statistics>), RenderError> {
+    match statistics {
         None => {
-            let outcome = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
-            (samples, (outcome.0, outcome.1, None))
+            let (rendered, all) = render_rows(prepared, settings, rect, samples, cancel, progress, recorder)?;
+            Ok((rendered, all, None))
         }
         Some(of) => {
-            let range = samples.clone();
-            let (rendered, statistics, recorders) =
+            let (rendered, statistics, all) =
                 render_with_statistics_and(prepared, settings, of, rect, samples, cancel, progress, recorder)?;
-            (range, (rendered, recorders, Some(statistics)))
+            Ok((rendered, all, Some(statistics)))
         }
-    };
-    let sums: Vec<LayerSums> = recorders.into_iter().flat_map(LayerRecorder::into_sums).collect();
-    let layers = LayerTile::of_pixels(rect, range, plan.count as u32, &sums)?;
-    Ok((rendered, layers, statistics))
+    }
 }

@@ -1,4 +1,5 @@
 //! The pipeline on small scenes.
 
+mod features;
 mod layers;
 mod statistics;

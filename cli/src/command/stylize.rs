@@ -1,0 +1,323 @@
+//! `femc stylize`: targets in the style of a painted example, guided by light.
+
+use crate::args::{FormatArgs, fits};
+use crate::clock::Clock;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::{Progress, Say, human, json};
+use crate::values::{Exposure, Style, guide_frame};
+use clap::{Args, ValueEnum};
+use femc_film::{Levels, ToneCurve, file};
+use femc_stylize::{Before, Example, Figures, GuideFrame, Settings, StylizeError, Stylized, frames};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// Paint renders in the style of a painted example, guided by light
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc render room.mgf -o room.exr --layers guides\n  \
+    femc stylize --style oil --target room.layers.exr -o room.png\n  \
+    femc stylize --style painted.png --source ball.layers.exr --target room.layers.exr -o room.png\n  \
+    femc stylize --style painted.png --source ball.layers.exr --target 'drive/*.layers.exr' -o painted/\n\n\
+    A painting lies pixel on pixel over its source, a render. What guides are the layers of light that both source and target \
+    have, or else the pictures themselves. Source and targets are each shown under an exposure of their own; all targets have the \
+    same. Several targets are painted one after the other, as frames of a clip: with layers motion (and depth) each holds on \
+    to what was painted before. The same files and settings give the same pictures with any number of threads.")]
+pub struct StylizeArgs {
+    /// The painting, of the source's size; or a style that comes with femc: hatching, watercolor, oil, cel
+    #[arg(long, value_name = "PAINTED.png")]
+    style: PathBuf,
+    /// The render that was painted [default: that of the styles that come with femc]
+    #[arg(long, value_name = "A.exr")]
+    source: Option<PathBuf>,
+    /// What to paint; * stands for any text in the name of a file
+    #[arg(long, value_name = "B.exr", num_args = 1.., required = true)]
+    target: Vec<PathBuf>,
+    /// Where the picture goes; of several targets a folder, `FOLDER/`
+    #[arg(long, short, value_name = "OUT.png")]
+    out: PathBuf,
+    /// Layers that guide [default: all layers of light that source and target have]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    guides: Vec<String>,
+    /// Exposure of the targets: auto, or an exposure value (EV at ISO 100)
+    #[arg(long, value_name = "EV", default_value_t = Exposure::Auto)]
+    exposure: Exposure,
+    /// How patches are found
+    #[arg(long, value_enum, default_value_t = Method::Balanced)]
+    method: Method,
+    /// Weight of all guides against the style: more follows the light, less the brush
+    #[arg(long, value_name = "WEIGHT", default_value_t = Settings::default().mu)]
+    mu: f32,
+    /// How much it matters that the whole painting is used: the difference in color, levels of 255, that mean use is worth
+    #[arg(long, value_name = "LEVELS", default_value_t = Settings::default().balance)]
+    balance: f32,
+    /// How much the painting of a clip may change where the frames do not, from 0 (nothing) to 1 (each frame is painted anew)
+    #[arg(long, value_name = "PART", default_value_t = Settings::default().boil)]
+    boil: f32,
+    /// Width of patches, pixels: odd, 3 to 15
+    #[arg(long, value_name = "N", default_value_t = Settings::default().patch)]
+    patch: usize,
+    /// Levels of the image pyramids [default: 6, or as many as the images allow]
+    #[arg(long, value_name = "N")]
+    levels: Option<usize>,
+    /// Searches at each level, each followed by a vote
+    #[arg(long, value_name = "N", default_value_t = Settings::default().iterations as u32,
+        value_parser = clap::value_parser!(u32).range(1..=100))]
+    iterations: u32,
+    /// Threads [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    threads: Option<u32>,
+    #[command(flatten)]
+    format: FormatArgs,
+}
+
+/// How target patches get their source patches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Method {
+    /// By likeness, and a price on source patches that are used much
+    Balanced,
+    /// Each target patch has the best source patch, by brute force: slow, for comparison
+    Em,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    method: Method,
+    mu: f32,
+    balance: f32,
+    boil: f32,
+    patch: usize,
+    iterations: usize,
+    guides: &'a [&'a str],
+    seconds: f64,
+    frames: Vec<Row>,
+}
+
+/// A painted target.
+#[derive(Serialize)]
+struct Row {
+    image: String,
+    width: usize,
+    height: usize,
+    levels: usize,
+    seconds: f64,
+    /// Target patches; each has a source patch.
+    target_patches: usize,
+    guide_error: f64,
+    usage_entropy: f64,
+    usage_entropy_most: f64,
+    unused: f64,
+    unused_pixels: f64,
+    sharpness: Option<f64>,
+    /// Mean difference from the frame before along the motion, levels of 255.
+    flicker: Option<f64>,
+}
+
+/// Read, paint, write.
+pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
+    let targets = targets(&args.target)?;
+    let outputs = args.outputs(&targets)?;
+    let Style { painting, source, source_path } = Style::read(&args.style, args.source.as_deref())?;
+    let first = guide_frame("--target", &targets[0])?;
+    let names = match &*args.guides {
+        [] => frames::common(&source, &first).map_err(|error| args.told(&error, &targets[0]))?,
+        named => named.iter().map(String::as_str).collect(),
+    };
+    let curve = ToneCurve::auto(source.exposed().as_ref());
+    let guides = source.guides(&names, curve).map_err(|error| args.told(&error, &source_path))?;
+    let curve = args.curve(&targets, &first)?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, |threads| threads as usize)).build();
+    let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
+    let (clock, progress) = (Clock, Mutex::new(Progress::new(say, Clock)));
+    let (started, example) = (clock.now(), Example { style: &painting, guides: &guides });
+    let (mut rows, mut last): (Vec<Row>, Option<(Stylized, GuideFrame)>) = (Vec::new(), None);
+    for (at, (target, out)) in targets.iter().zip(&outputs).enumerate() {
+        let began = clock.now();
+        let frame = if at == 0 { first.clone() } else { guide_frame("--target", target)? };
+        let told = |error: StylizeError| args.told(&error, target);
+        let shown = frame.guides(&names, curve).map_err(told)?;
+        let before = last.as_ref().and_then(|(painted, frame)| moved(painted, frame)).transpose().map_err(told)?;
+        let show = |now: femc_stylize::Progress| {
+            let part = (at as f64 + now.fraction) / targets.len() as f64;
+            let text = || format!("{}: level {}/{}", out.display(), now.level, now.levels);
+            progress.lock().unwrap_or_else(PoisonError::into_inner).at(part, text);
+        };
+        let paint = || femc_stylize::stylize(example, &shown, before.as_ref(), &args.settings(), &show);
+        let painted = pool.install(paint).map_err(told)?;
+        file::write_atomic(out, &frames::picture(&painted.image).to_png().map_err(failed)?).map_err(failed)?;
+        let flicker = before.and_then(|before| before.flicker(&painted.image));
+        rows.push(Row::of(out, &painted, flicker, clock.since(began).as_secs_f64()));
+        last = Some((painted, frame));
+    }
+    drop(progress);
+    let Settings { mu, balance, boil, patch, iterations, .. } = args.settings();
+    let seconds = clock.since(started).as_secs_f64();
+    let (method, guides) = (args.method, &*names);
+    let report = Report { method, mu, balance, boil, patch, iterations, guides, seconds, frames: rows };
+    if args.format.json {
+        json::print(say, &report)?;
+    } else {
+        print(say, &report);
+    }
+    if last.is_some_and(|(_, frame)| report.frames.len() > 1 && frame.motion().is_none()) {
+        say.note("each target was painted anew: they have no layer `motion` to hold on to; femc render --layers motion,depth makes it");
+    }
+    Ok(Exit::Done)
+}
+
+/// The frame before, moved to where this one sees it; `None`: how it moved is not known.
+fn moved(painted: &Stylized, frame: &GuideFrame) -> Option<Result<Before, StylizeError>> {
+    frame.motion().map(|motion| Before::new(painted, motion, frame.depth()))
+}
+
+impl StylizeArgs {
+    fn settings(&self) -> Settings {
+        let method = match self.method {
+            Method::Balanced => femc_stylize::Method::Balanced,
+            Method::Em => femc_stylize::Method::Em,
+        };
+        let Self { mu, balance, boil, patch, levels, .. } = *self;
+        Settings { method, mu, balance, boil, patch, levels, iterations: self.iterations as usize }
+    }
+
+    /// Where each picture goes.
+    fn outputs(&self, targets: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+        let is_png = self.out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
+        match targets {
+            [_] if is_png => return Ok(vec![self.out.clone()]),
+            [_, _, ..] if is_png => {
+                let count = human::count(targets.len() as u64, "target");
+                return Err(usage(format!("-o {}: {count}, one picture; give a folder, FOLDER/", self.out.display())));
+            }
+            _ => {}
+        }
+        let is_folder = self.out.is_dir() || self.out.as_os_str().as_encoded_bytes().ends_with(b"/");
+        if !is_folder {
+            return Err(usage(format!("-o {}: give FILE.png, or a folder, FOLDER/", self.out.display())));
+        }
+        std::fs::create_dir_all(&self.out).map_err(|error| failed(format!("-o {}: {error}", self.out.display())))?;
+        let place = |target: &PathBuf| {
+            let stem = Path::new(target.file_stem().unwrap_or_default());
+            let stem =
+                if stem.extension().is_some_and(|it| it == "layers") { stem.with_extension("") } else { stem.into() };
+            let mut name = stem.into_os_string();
+            name.push(".png");
+            self.out.join(name)
+        };
+        let places: Vec<PathBuf> = targets.iter().map(place).collect();
+        match (1..places.len()).find(|&at| places[..at].contains(&places[at])) {
+            Some(at) => Err(usage(format!("--target: two files would be painted as {}", places[at].display()))),
+            None => Ok(places),
+        }
+    }
+
+    /// The tone curve of all targets together.
+    fn curve(&self, targets: &[PathBuf], first: &GuideFrame) -> Result<ToneCurve, Failure> {
+        let levels = |frame: &GuideFrame| frame.exposed().as_ref().map_or_else(Levels::default, Levels::of_image);
+        let mut all = levels(first);
+        if self.exposure == Exposure::Auto {
+            for target in &targets[1..] {
+                all.merge(&levels(&guide_frame("--target", target)?));
+            }
+        }
+        Ok(self.exposure.curve(&all))
+    }
+
+    /// What to change.
+    /// - `path`: of the frame at fault, if one is.
+    fn told(&self, error: &StylizeError, path: &Path) -> Failure {
+        let path = path.display();
+        match error {
+            StylizeError::Mu(mu) => usage(format!("--mu {mu}: give a number from 0 on")),
+            StylizeError::Balance(balance) => usage(format!("--balance {balance}: give a number from 0 on")),
+            StylizeError::Boil(boil) => usage(format!("--boil {boil}: give a number from 0 to 1")),
+            StylizeError::Patch(patch) => usage(format!("--patch {patch}: give an odd number from 3 to 15")),
+            StylizeError::Levels { most: 0, patch, .. } => usage(format!(
+                "source or {path} has fewer than {patch} rows or columns, the width of a patch; see --patch"
+            )),
+            StylizeError::Levels { levels, most, patch } => {
+                usage(format!("--levels {levels}: images of this size and patches of {patch} pixels allow 1 to {most}"))
+            }
+            StylizeError::NothingInCommon { source_guides, target_guides } => failed(format!(
+                "the source has the layers {}, {path} {}: none in common; render both with --layers guides",
+                source_guides.join(", "),
+                target_guides.join(", ")
+            )),
+            StylizeError::NoGuide(name) => failed(format!("{path}: it has no layer `{name}`; see --guides")),
+            StylizeError::BeforeSize { .. } => {
+                failed(format!("{path}: {error}; frames of a clip have one size; paint it by itself"))
+            }
+            StylizeError::NotFinite { .. } => failed(format!("{path}: {error}; render or repair the image")),
+            StylizeError::Shape { .. }
+            | StylizeError::StyleSize { .. }
+            | StylizeError::StyleChannels(_)
+            | StylizeError::Channels { .. } => failed(format!("{path}: {error}")),
+        }
+    }
+}
+
+impl Row {
+    fn of(out: &Path, painted: &Stylized, flicker: Option<f64>, seconds: f64) -> Self {
+        let Figures { guide_error, usage_entropy, usage_entropy_most, unused, unused_pixels, sharpness } =
+            painted.figures;
+        Self {
+            image: out.display().to_string(),
+            width: painted.image.width(),
+            height: painted.image.height(),
+            levels: painted.levels,
+            seconds,
+            target_patches: painted.field.patches.len(),
+            guide_error,
+            usage_entropy,
+            usage_entropy_most,
+            unused,
+            unused_pixels,
+            sharpness,
+            flicker,
+        }
+    }
+}
+
+/// The files that are meant, those of a pattern by the alphabet.
+fn targets(asked: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+    let mut all = Vec::new();
+    for path in asked {
+        let Some(pattern) = path.file_name().and_then(|name| name.to_str()).filter(|name| name.contains('*')) else {
+            all.push(path.clone());
+            continue;
+        };
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let fault = |error| failed(format!("--target {}: {error}", path.display()));
+        let entries = std::fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>).map_err(fault)?;
+        let mut names: Vec<String> = entries.iter().filter_map(|entry| entry.file_name().into_string().ok()).collect();
+        names.retain(|name| fits(pattern, name));
+        names.sort_unstable();
+        if names.is_empty() {
+            return Err(usage(format!("--target {}: no such file", path.display())));
+        }
+        all.extend(names.iter().map(|name| path.with_file_name(name)));
+    }
+    Ok(all)
+}
+
+fn print(say: Say, report: &Report<'_>) {
+    let columns = ["picture", "guide error", "entropy", "unused", "sharpness", "flicker", "time"];
+    let row = |row: &Row| {
+        let or_none = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |it| format!("{it:.digits$}"));
+        vec![
+            row.image.clone(),
+            format!("{:.1}", row.guide_error),
+            format!("{:.2} of {:.2}", row.usage_entropy, row.usage_entropy_most),
+            human::percent(row.unused),
+            or_none(row.sharpness, 3),
+            or_none(row.flicker, 2),
+            human::seconds(row.seconds),
+        ]
+    };
+    let rows: Vec<Vec<String>> = report.frames.iter().map(row).collect();
+    say.result(human::table(&columns, &rows));
+    for row in &report.frames {
+        say.note(format!("wrote {}", row.image));
+    }
+}

@@ -1,0 +1,80 @@
+//! Painted styles: those that come with the program, and those that people bring.
+
+use crate::exit::{Failure, failed, usage};
+use femc_film::{FilmError, Picture};
+use femc_stylize::{GuideFrame, Planes, frames};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+/// Paintings of `scenes/ball.mgf`, by name.
+const BUILT_IN: [(&str, &[u8]); 4] = [
+    ("hatching", include_bytes!("../../../scenes/styles/hatching.png")),
+    ("watercolor", include_bytes!("../../../scenes/styles/watercolor.png")),
+    ("oil", include_bytes!("../../../scenes/styles/oil.png")),
+    ("cel", include_bytes!("../../../scenes/styles/cel.png")),
+];
+/// What they were painted from.
+const BALL: &[u8] = include_bytes!("../../../scenes/styles/ball.layers.exr");
+
+/// A painting, and the render that it lies over.
+#[derive(Debug)]
+pub struct Style {
+    /// Red, green and blue, 0..1.
+    pub painting: Planes,
+    /// Of the painting's size.
+    pub source: GuideFrame,
+    /// What errors call the source.
+    pub source_path: PathBuf,
+}
+
+impl Style {
+    /// A style that comes with the program, by its name, or the painting at `style`; it lies over the render at `source`, or over that of
+    /// the styles that come with the program.
+    pub fn read(style: &Path, source: Option<&Path>) -> Result<Self, Failure> {
+        let bytes = match BUILT_IN.iter().find(|(name, _)| Path::new(name) == style) {
+            Some((_, painting)) => painting.to_vec(),
+            None => std::fs::read(style).map_err(|error| match error.kind() {
+                std::io::ErrorKind::NotFound => usage(format!(
+                    "--style {}: no such file; give a PNG, or one of the styles {}",
+                    style.display(),
+                    BUILT_IN.map(|(name, _)| name).join(", ")
+                )),
+                _ => failed(format!("--style {}: {error}", style.display())),
+            })?,
+        };
+        match source {
+            Some(path) => Self::of(style, &bytes, guide_frame("--source", path)?, path),
+            None => {
+                let ball = GuideFrame::decode(Cursor::new(BALL)).map_err(failed)?;
+                Self::of(style, &bytes, ball, Path::new("scenes/styles/ball.layers.exr"))
+            }
+        }
+    }
+
+    fn of(path: &Path, png: &[u8], source: GuideFrame, source_path: &Path) -> Result<Self, Failure> {
+        let fault = |error: &dyn std::fmt::Display| failed(format!("--style {}: {error}; give a PNG", path.display()));
+        let picture = Picture::from_any_png(png).map_err(|error| fault(&error))?;
+        let [width, height] = source.size();
+        if [picture.width, picture.height] != [width, height] {
+            return Err(failed(format!(
+                "--style {} has {}x{} pixels, the source {} {width}x{height}; paint over the source, pixel on pixel",
+                path.display(),
+                picture.width,
+                picture.height,
+                source_path.display(),
+            )));
+        }
+        let painting = frames::painting(&picture).map_err(|error| fault(&error))?;
+        Ok(Self { painting, source, source_path: source_path.to_owned() })
+    }
+}
+
+/// A frame whose layers guide.
+pub fn guide_frame(flag: &str, path: &Path) -> Result<GuideFrame, Failure> {
+    GuideFrame::read(path).map_err(|error| match error {
+        FilmError::File { path, cause } if cause.kind() == std::io::ErrorKind::NotFound => {
+            usage(format!("{flag} {}: no such file; give an EXR image", path.display()))
+        }
+        error => failed(format!("{flag}: {error}; give an EXR image with channels R, G and B, or with layers")),
+    })
+}

@@ -1,0 +1,75 @@
+//! Features of frames: what the camera sees first, beside or without layers of the light.
+
+use crate::common::{Place, Running, coordinator, submit};
+use femc_film::exr::{read, read_channels};
+use femc_pipeline::cryptomatte;
+use std::collections::BTreeMap;
+
+const ALL: &str = "normal,position,depth,albedo,motion,object,material";
+
+fn bytes(place: &Place, name: &str) -> Vec<u8> {
+    std::fs::read(place.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+fn worker(place: &Place, url: &str) -> Running {
+    place.start(&format!("worker --join {url} --threads 1"))
+}
+
+#[test]
+fn features_of_a_farm_are_those_of_one_process_to_the_byte_with_layers_and_without() {
+    let place = Place::new();
+    place.write("fog.mgf", crate::common::FOG);
+    let (_farm, url) = coordinator(&place, 0);
+    let _workers = [0; 3].map(|_| worker(&place, &url));
+    for (names, out) in [(format!("{ALL},direct"), "both"), (ALL.to_owned(), "alone")] {
+        let settings = format!("--size 40x24 --error 0.3 --frames 1..2 --layers {names}");
+        let job = submit(&place, &url, &settings);
+        place.run(&format!("watch {job} --server {url}")).exits(0);
+        place.run(&format!("fetch {job} -o {out} --server {url}")).exits(0);
+        place.run(&format!("render fog.mgf {settings} -o {out}-here --workers 1 --threads 2")).exits(0);
+        for frame in 1..=2 {
+            let name = |folder: &str| format!("{folder}/fog.{frame:04}.layers.exr");
+            assert!(bytes(&place, &name(out)) == bytes(&place, &name(&format!("{out}-here"))), "{out}, frame {frame}");
+        }
+    }
+    let [both, alone] = ["both", "alone"].map(|out| place.path(&format!("{out}/fog.0002.layers.exr")));
+    let picture = read(&place.path("alone/fog.0002.exr")).expect("a picture").image;
+    assert_eq!(read(&alone).expect("features").image, picture, "the file has the picture's colors");
+    for channel in ["normal.X", "position.Z", "depth.Z", "albedo.G", "coverage.A", "crypto_material00.B"] {
+        let read = |file| read_channels(file, [channel]).expect(channel).2;
+        let values = read(&alone);
+        assert!(values == read(&both), "{channel}");
+        assert!(values[0].iter().any(|value| *value != 0.0), "{channel}");
+    }
+    assert!(read_channels(&alone, ["direct.R"]).is_err());
+    let attributes = read(&alone).expect("features").attributes;
+    let text = |layer: &str, what: &str| attributes[&cryptomatte::attribute(layer, what)].as_str();
+    assert_eq!(text("crypto_material", "name"), "crypto_material");
+    assert_eq!(text("crypto_material", "hash"), "MurmurHash3_32");
+    assert_eq!(text("crypto_material", "conversion"), "uint32_to_float32");
+    let id = |name: &str| format!("{:08x}", cryptomatte::id(name));
+    let manifest: BTreeMap<String, String> = serde_json::from_str(text("crypto_material", "manifest")).expect("JSON");
+    assert_eq!(manifest, ["lamp", "wall"].map(|name| (name.to_owned(), id(name))).into());
+    // Nothing is in an object there.
+    assert_eq!(text("crypto_object", "manifest"), r#"{"default":"42c9679f"}"#);
+}
+
+#[test]
+fn a_job_file_names_features_and_names_of_features_are_no_layers() {
+    let place = Place::new();
+    let text = "scene = \"fog.mgf\"\nsize = \"24x16\"\nspp = 4\nframes = 1\nmethod = \"fem\"\nlayers = [\"depth\"]\n";
+    place.write("job.toml", text);
+    let report = place.run("render job.toml -o out.exr --json").exits(0).json();
+    assert_eq!(report["layers"], serde_json::json!(["out.layers.exr"]));
+    let report = place.run("render job.toml -o out.exr --json").exits(0).json();
+    assert_eq!(report["rendered"], 0, "it is there");
+    assert!(read_channels(&place.path("out.layers.exr"), ["depth.Z"]).is_ok());
+    // Another feature is another frame.
+    let report = place.run("render job.toml -o out.exr --layers normal --json").exits(0).json();
+    assert_eq!(report["rendered"], 1);
+    assert!(read_channels(&place.path("out.layers.exr"), ["depth.Z", "normal.Z"]).is_ok());
+    let ran = place.run("render fog.mgf -o out.exr --layers normals").exits(2);
+    assert!(ran.stderr().contains("no layers called `normals`") && ran.stderr().contains("surfaces, normal, "));
+    let ran = place.run("render fog.mgf -o out.exr --layer depth=CL").exits(2);
+    assert!(ran.stderr().contains("`depth`: the file has channels of that name"), "{}", ran.stderr());
+}

@@ -1,0 +1,209 @@
+//! `femc stylize`.
+
+use crate::common::{Place, names};
+use femc_film::{FrameImage, Image, LayerImage, Picture, Provenance, exr};
+use std::collections::BTreeMap;
+
+const SIZE: [u32; 2] = [24, 18];
+
+/// A frame with these colors.
+fn write(place: &Place, name: &str, [width, height]: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) {
+    let pixels: Vec<[f32; 3]> =
+        (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| color(x, y)).collect();
+    let n = pixels.len();
+    let frame = FrameImage {
+        color: Image { width, height, pixels },
+        variance: vec![[0.0; 3]; n],
+        luminance_variance: vec![0.0; n],
+        albedo: vec![[0.0; 3]; n],
+        depth: vec![0.0; n],
+        samples: vec![1; n],
+    };
+    exr::write(&place.path(name), &frame, &Provenance::default()).expect("an image");
+}
+
+/// Light that falls off from a pixel.
+fn glow([u, v]: [u32; 2]) -> impl Fn(u32, u32) -> [f32; 3] {
+    move |x, y| [40.0 / (1.0 + x.abs_diff(u) as f32 + 0.7 * y.abs_diff(v) as f32); 3]
+}
+
+/// The file of a frame's layers, each of the same light times a factor.
+fn write_layers(
+    place: &Place,
+    name: &str,
+    [width, height]: [u32; 2],
+    color: impl Fn(u32, u32) -> [f32; 3],
+    names: &[(&str, f32)],
+) {
+    let mut layers = LayerImage::black(names.iter().map(|layer| layer.0.to_owned()), width, height);
+    let pixels: Vec<[f32; 3]> =
+        (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| color(x, y)).collect();
+    for (layer, (_, factor)) in layers.iter_mut().zip(names) {
+        layer.color = pixels.iter().map(|light| light.map(|value| factor * value)).collect();
+    }
+    let n = pixels.len();
+    let frame = FrameImage {
+        color: Image { width, height, pixels },
+        variance: vec![[0.0; 3]; n],
+        luminance_variance: vec![0.0; n],
+        albedo: vec![[0.0; 3]; n],
+        depth: vec![0.0; n],
+        samples: vec![1; n],
+    };
+    let bytes = exr::encode_layers(&frame, &layers, &[], &[], &Provenance::default()).expect("an image");
+    std::fs::write(place.path(name), bytes).expect("written");
+}
+
+/// Source, target, both with layers, too, and a painting.
+fn place() -> Place {
+    let place = Place::new();
+    write(&place, "a.exr", SIZE, glow([8, 8]));
+    write(&place, "b.exr", [30, 20], glow([20, 12]));
+    write_layers(&place, "a.layers.exr", SIZE, glow([8, 8]), &[("full", 1.0), ("direct", 0.5), ("lamp", 0.2)]);
+    write_layers(&place, "b.layers.exr", [30, 20], glow([20, 12]), &[("direct", 0.5), ("fog", 0.1), ("full", 1.0)]);
+    painting(&place, "p.png", SIZE);
+    place
+}
+
+fn painting(place: &Place, name: &str, [width, height]: [u32; 2]) {
+    let pixels = (0..width * height).map(|at| [(at * 37 % 251) as u8, (at % width * 9) as u8, (at / width * 11) as u8]);
+    let picture = Picture { width, height, pixels: pixels.collect() };
+    std::fs::write(place.path(name), picture.to_png().expect("a PNG")).expect("written");
+}
+
+fn picture(place: &Place, name: &str) -> Picture {
+    Picture::from_png(&std::fs::read(place.path(name)).expect("a file")).expect("a PNG")
+}
+
+#[test]
+fn a_target_is_painted_whole_and_threads_change_no_bit() {
+    let place = place();
+    let line = "stylize --style p.png --source a.layers.exr --target b.layers.exr";
+    let report = place.run(&format!("{line} -o one.png --threads 1 --json")).exits(0).json();
+    let other = place.run(&format!("{line} -o two.png --threads 2 --json")).exits(0).json();
+    let painted = picture(&place, "one.png");
+    assert_eq!((painted.width, painted.height), (30, 20));
+    assert!(painted == picture(&place, "two.png"), "threads change no bit");
+    assert_eq!(report["guides"], serde_json::json!(["direct", "full"]), "layers that both have");
+    let [frame, other] = [&report, &other].map(|report| &report["frames"][0]);
+    assert_eq!(frame["target_patches"], 26 * 16);
+    for figure in ["guide_error", "usage_entropy", "unused", "unused_pixels", "sharpness"] {
+        assert!(frame[figure].as_f64().is_some_and(|value| value >= 0.0), "{figure}: {report}");
+        assert_eq!(frame[figure], other[figure], "{figure}");
+    }
+    let entropy = |key: &str| frame[key].as_f64().expect("a number");
+    assert!(entropy("usage_entropy") <= entropy("usage_entropy_most") + 1e-9, "{report}");
+    let said = place.run(&format!("{line} -o one.png --guides full --method em --mu 4 --patch 3 --levels 1")).exits(0);
+    assert!(said.stdout().contains("entropy") && said.stderr().contains("wrote one.png"), "{}", said.stdout());
+}
+
+#[test]
+fn several_targets_go_to_a_folder_under_one_exposure() {
+    let place = place();
+    write(&place, "c-1.exr", SIZE, glow([4, 4]));
+    write(&place, "c-2.exr", SIZE, |x, y| glow([4, 4])(x, y).map(|light| 0.1 * light));
+    let line = "stylize --style p.png --source a.exr";
+    let ran = place.run(&format!("{line} --target c-*.exr -o clip/ --json")).exits(0);
+    assert!(ran.stderr().contains("no layer `motion`"), "{}", ran.stderr());
+    assert_eq!(names(&place.path("clip")), ["c-1.png", "c-2.png"]);
+    assert_eq!(ran.json()["frames"][1]["flicker"], serde_json::Value::Null, "nobody knows how they moved");
+    // Alone, the second one is shown brighter than it is beside the first one.
+    place.run(&format!("{line} --target c-2.exr -o alone.png")).exits(0);
+    assert!(picture(&place, "clip/c-2.png") != picture(&place, "alone.png"), "both are as bright");
+    // At a fixed exposure company does not matter.
+    place.run(&format!("{line} --target c-1.exr c-2.exr -o clip/ --exposure 5")).exits(0);
+    place.run(&format!("{line} --target c-2.exr -o alone.png --exposure 5")).exits(0);
+    assert!(picture(&place, "clip/c-2.png") == picture(&place, "alone.png"), "they differ");
+}
+
+#[test]
+fn styles_come_with_the_program() {
+    let place = place();
+    for style in ["hatching", "watercolor", "oil", "cel"] {
+        place.run(&format!("stylize --style {style} --target b.layers.exr -o {style}.png --iterations 1")).exits(0);
+        let painted = picture(&place, &format!("{style}.png"));
+        assert_eq!((painted.width, painted.height), (30, 20), "{style}");
+    }
+    assert!(picture(&place, "oil.png") != picture(&place, "cel.png"), "they are one style");
+    let ran = place.run("stylize --style aquatint --target b.layers.exr -o out.png").exits(2);
+    assert!(ran.stderr().contains("hatching, watercolor, oil, cel"), "{}", ran.stderr());
+}
+
+#[test]
+fn frames_of_a_clip_hold_on_to_what_was_painted_where_motion_says_it_went() {
+    let place = place();
+    let size = [40u32, 30];
+    let pixels = (size[0] * size[1]) as usize;
+    // Light that goes 3 pixels to the right a frame.
+    for frame in 0..3u32 {
+        let light: Vec<f32> = (0..size[1])
+            .flat_map(|y| (0..size[0]).map(move |x| (x, y)))
+            .map(|(x, y)| glow([10 + 3 * frame, 12])(x, y)[0] + 0.01 * ((x * 7 + y * 13 + frame * 5) % 11) as f32)
+            .collect();
+        let (dx, dy, z) = (vec![3.0; pixels], vec![0.0; pixels], vec![2.0; pixels]);
+        let named =
+            [("R", &light), ("G", &light), ("B", &light), ("motion.X", &dx), ("motion.Y", &dy), ("depth.Z", &z)];
+        let channels = named.map(|(name, values)| exr::NamedChannel { name, values, precision: exr::Precision::Float });
+        let bytes = exr::encode_named(size, &channels, &BTreeMap::new()).expect("an image");
+        std::fs::write(place.path(&format!("m-{frame}.exr")), bytes).expect("written");
+    }
+    let flicker = |boil: &str| {
+        let line = format!("stylize --style p.png --source a.exr --target m-*.exr -o clip/ --boil {boil} --json");
+        let report = place.run(&line).exits(0).json();
+        assert_eq!(report["frames"][0]["flicker"], serde_json::Value::Null);
+        (1..3).map(|at| report["frames"][at]["flicker"].as_f64().expect("it is known")).sum::<f64>() / 2.0
+    };
+    let [held, anew] = ["0", "1"].map(flicker);
+    eprintln!("flicker {held:.2} held, {anew:.2} anew");
+    assert!(held < 0.5 * anew, "{held} {anew}");
+}
+
+#[test]
+fn the_source_itself_is_painted_as_the_painting_is() {
+    let place = place();
+    place.run("stylize --style p.png --source a.exr --target a.exr -o same.png").exits(0);
+    let (painted, painting) = (picture(&place, "same.png"), picture(&place, "p.png"));
+    let pairs = painted.pixels.as_flattened().iter().zip(painting.pixels.as_flattened());
+    let mean = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / (3 * painting.pixels.len()) as f64;
+    assert!(mean < 4.0, "{mean} levels off");
+}
+
+#[test]
+fn bad_input_says_what_is_wrong_and_where_and_paints_nothing() {
+    let place = place();
+    write(&place, "nan.exr", SIZE, |x, y| if (x, y) == (5, 7) { [1.0, f32::NAN, 1.0] } else { [1.0; 3] });
+    write(&place, "tiny.exr", [4, 30], |_, _| [1.0; 3]);
+    painting(&place, "large.png", [25, 18]);
+    for name in ["lamp", "fog"] {
+        write_layers(&place, &format!("{name}.layers.exr"), SIZE, glow([3, 3]), &[(name, 1.0)]);
+    }
+    let before = names(&place.path("."));
+    for (arguments, code, said) in [
+        ("--style large.png --source a.exr --target b.exr", 1, "large.png has 25x18 pixels, the source a.exr 24x18"),
+        ("--style p.png --source a.exr --target a.exr b.exr", 2, "2 targets, one picture; give a folder"),
+        ("--style p.png --source a.exr --target z*.exr", 2, "--target z*.exr: no such file"),
+        ("--style p.png --source a.layers.exr --target b.layers.exr --guides glow", 1, "no layer `glow`"),
+        ("--style p.png --source lamp.layers.exr --target fog.layers.exr", 1, "none in common"),
+        ("--style p.png --source fog.mgf --target b.exr", 1, "--source: fog.mgf"),
+        ("--style p.png --source a.exr --target p.png", 1, "--target: p.png"),
+        ("--style p.png --source a.exr --target none.exr", 2, "--target none.exr: no such file"),
+        ("--style p.png --source a.exr --target nan.exr", 1, "nan.exr: pixel 5,7 is not finite"),
+        ("--style none.png --source a.exr --target b.exr", 2, "--style none.png: no such file"),
+        ("--style a.exr --source a.exr --target b.exr", 1, "--style a.exr"),
+        ("--style p.png --source a.exr --target tiny.exr", 2, "fewer than 5 rows or columns"),
+        ("--style p.png --source a.exr --target b.exr --levels 9", 2, "allow 1 to 1"),
+        ("--style p.png --source a.exr --target b.exr --patch 4", 2, "--patch 4"),
+        ("--style p.png --source a.exr --target b.exr --mu=-1", 2, "--mu -1"),
+        ("--style p.png --source a.exr --target b.exr --mu nan", 2, "--mu"),
+        ("--style p.png --source a.exr --target b.exr --balance=-1", 2, "--balance -1"),
+        ("--style p.png --source a.exr --target b.exr --boil 2", 2, "--boil 2"),
+        ("--style p.png --source a.exr --target b.exr --method magic", 2, "--method"),
+    ] {
+        let ran = place.run(&format!("stylize {arguments} -o out.png")).exits(code);
+        assert!(ran.stderr().contains(said), "{arguments}: {}", ran.stderr());
+        assert_eq!(ran.stdout(), "", "{arguments}");
+    }
+    let ran = place.run("stylize --style p.png --source a.exr --target b.exr -o out.exr").exits(2);
+    assert!(ran.stderr().contains("give FILE.png, or a folder"), "{}", ran.stderr());
+    assert_eq!(names(&place.path(".")), before);
+}

@@ -1,0 +1,166 @@
+//! What a tile has beside its picture: layers of its light, features, or both.
+
+use super::tile::VERSION;
+use super::{FeaturePiece, FeatureTile};
+use crate::codec::{begin, open, seal};
+use crate::tile::Ends;
+use crate::{FilmError, LayerPiece, LayerTile, SampleRange, Tiling};
+use std::ops::Range;
+
+const MAGIC: &[u8; 8] = b"FEMCBESD";
+const NOTHING: FilmError = FilmError::Corrupt("neither layers nor features");
+
+/// What there is of the samples of a tile. One of the two at least is there, and both are of the same samples.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BesideTile {
+    /// Layers of the light.
+    pub light: Option<LayerTile>,
+    /// Features.
+    pub features: Option<FeatureTile>,
+}
+
+impl BesideTile {
+    /// The samples.
+    pub fn samples(&self) -> Option<SampleRange> {
+        self.light.as_ref().map(LayerTile::samples).or(self.features.as_ref().map(FeatureTile::samples))
+    }
+
+    /// As bytes: the same bytes for the same sums.
+    pub fn encode(&self) -> Vec<u8> {
+        join([self.light.as_ref().map(LayerTile::encode), self.features.as_ref().map(FeatureTile::encode)])
+    }
+
+    /// From its bytes; damage of any kind is an error.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
+        let [light, features] = part(bytes)?;
+        let light = light.map(LayerTile::decode).transpose()?;
+        let features = features.map(FeatureTile::decode).transpose()?;
+        if let (Some(light), Some(features)) = (&light, &features)
+            && (light.rect(), light.samples()) != (features.rect(), features.samples())
+        {
+            return Err(FilmError::Corrupt("layers and features of other samples"));
+        }
+        Ok(Self { light, features })
+    }
+
+    /// As [`LayerTile::united`] and [`FeatureTile::united`].
+    /// - errors: theirs, and parts of which some have what others lack.
+    pub fn united(parts: Vec<Self>, begin: u32, ends: Ends) -> Result<Self, FilmError> {
+        let count = parts.len();
+        let (light, features): (Vec<_>, Vec<_>) = parts.into_iter().map(|part| (part.light, part.features)).unzip();
+        let light: Vec<LayerTile> = light.into_iter().flatten().collect();
+        let features: Vec<FeatureTile> = features.into_iter().flatten().collect();
+        if [light.len(), features.len()].iter().any(|&some| some != 0 && some != count) {
+            return Err(FilmError::Corrupt("a part lacks layers or features that others have"));
+        }
+        let (has_light, has_features) = (!light.is_empty(), !features.is_empty());
+        if !has_light && !has_features {
+            return Err(NOTHING);
+        }
+        Ok(Self {
+            light: has_light.then(|| LayerTile::united(light, begin, ends)).transpose()?,
+            features: has_features.then(|| FeatureTile::united(features, begin)).transpose()?,
+        })
+    }
+}
+
+/// The same of several tiles of a frame, resolved.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BesidePiece {
+    /// Layers of the light.
+    pub light: Option<LayerPiece>,
+    /// Features.
+    pub features: Option<FeaturePiece>,
+    tiling: Tiling,
+    tiles: Range<usize>,
+    samples: Vec<SampleRange>,
+}
+
+impl BesidePiece {
+    /// No tiles of a film yet; the first that is put is number `first`.
+    pub fn new(tiling: Tiling, first: usize) -> Self {
+        Self { light: None, features: None, tiling, tiles: first..first, samples: Vec::new() }
+    }
+
+    /// Takes the next tile in.
+    /// - errors: it is another one, or has other things than those before.
+    pub fn put(&mut self, tile: &BesideTile, ends: Ends) -> Result<(), FilmError> {
+        let samples = tile.samples().ok_or(NOTHING)?;
+        if self.tiles.is_empty() {
+            self.light = tile.light.as_ref().map(|_| LayerPiece::new(self.tiling, self.tiles.start));
+            self.features = tile.features.as_ref().map(|_| FeaturePiece::new(self.tiling, self.tiles.start));
+        }
+        match (&mut self.light, &tile.light) {
+            (Some(piece), Some(tile)) => piece.put(tile, ends)?,
+            (None, None) => {}
+            _ => return Err(FilmError::Corrupt("layers of some tiles alone")),
+        }
+        match (&mut self.features, &tile.features) {
+            (Some(piece), Some(tile)) => piece.put(tile)?,
+            (None, None) => {}
+            _ => return Err(FilmError::Corrupt("features of some tiles alone")),
+        }
+        self.tiles.end += 1;
+        self.samples.push(samples);
+        Ok(())
+    }
+
+    /// How the film is cut.
+    pub fn tiling(&self) -> Tiling {
+        self.tiling
+    }
+
+    /// The tiles.
+    pub fn tiles(&self) -> Range<usize> {
+        self.tiles.clone()
+    }
+
+    /// The samples of each tile.
+    pub fn samples(&self) -> &[SampleRange] {
+        &self.samples
+    }
+
+    /// The tiles as bytes: the same bytes for the same pixels.
+    pub fn encode(&self) -> Vec<u8> {
+        join([self.light.as_ref().map(LayerPiece::encode), self.features.as_ref().map(FeaturePiece::encode)])
+    }
+
+    /// The tiles from their bytes; damage of any kind is an error.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
+        let [light, features] = part(bytes)?;
+        let light = light.map(LayerPiece::decode).transpose()?;
+        let features = features.map(FeaturePiece::decode).transpose()?;
+        let of_light = light.as_ref().map(|it| (it.tiling(), it.tiles(), it.samples().to_vec()));
+        let of_features = features.as_ref().map(|it| (it.tiling(), it.tiles(), it.samples().to_vec()));
+        let (tiling, tiles, samples) = match (of_light, of_features) {
+            (Some(light), Some(features)) if light != features => {
+                return Err(FilmError::Corrupt("layers and features of other tiles"));
+            }
+            (Some(of), _) | (None, Some(of)) => of,
+            (None, None) => return Err(NOTHING),
+        };
+        Ok(Self { light, features, tiling, tiles, samples })
+    }
+}
+
+fn join(parts: [Option<Vec<u8>>; 2]) -> Vec<u8> {
+    let mut out = begin(MAGIC, VERSION);
+    let parts = parts.map(Option::unwrap_or_default);
+    parts.iter().for_each(|part| out.extend_from_slice(&(part.len() as u32).to_le_bytes()));
+    parts.iter().for_each(|part| out.extend_from_slice(part));
+    seal(out)
+}
+
+fn part(bytes: &[u8]) -> Result<[Option<&[u8]>; 2], FilmError> {
+    let mut reader = open(MAGIC, VERSION, bytes)?;
+    let lengths = reader.words()?.map(|length: u32| length as usize);
+    let rest = reader.rest();
+    if lengths == [0; 2] {
+        return Err(NOTHING);
+    }
+    if lengths[0].saturating_add(lengths[1]) != rest.len() {
+        return Err(FilmError::Corrupt("cut short"));
+    }
+    let (light, features) = rest.split_at(lengths[0]);
+    Ok([light, features].map(|part| (!part.is_empty()).then_some(part)))
+}

@@ -1,0 +1,241 @@
+//! Features of a frame: what the camera sees first, beside the light.
+//!
+//! The recorder asks for the first surface along each sample's camera ray itself ([`first_surface`]): one ray more a sample, and nothing of
+//! the path that fog or a mirror could change. Without features no recorder hears of camera rays, and nothing is paid.
+
+use super::recorder::LayerRecorder;
+use super::{LayerPlan, recorded};
+use crate::render::{RenderError, RenderedTile, spec};
+use crate::settings::Settings;
+use crate::statistics::StatisticsPlan;
+use femc_film::features::RANKS;
+use femc_film::{BesideTile, FeatureLayout, FeatureSums, FeatureTile, Rect};
+use femc_geometry::Ray;
+use femc_layers::{Feature, cryptomatte};
+use femc_math::{Rgb, SampleStream};
+use femc_montecarlo::first_surface;
+use femc_montecarlo::record::{Both, Contribution, Hears, Leaving, Recorder, Stop, Vertex};
+use femc_paths::Statistics;
+use femc_prepared::camera::View;
+use femc_prepared::{NextFrame, PrepareError, Prepared};
+use femc_scene::Scene;
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// The features of a frame that are asked for.
+#[derive(Clone, Debug)]
+pub struct FeaturePlan {
+    features: Vec<Feature>,
+    seed: u64,
+    /// The next frame, where motion is asked for and there is one.
+    next: Option<NextFrame>,
+    /// Ids of the scene's objects and materials, where they are asked for.
+    objects: Vec<u32>,
+    materials: Vec<u32>,
+    /// The id of things without a name.
+    unnamed: u32,
+}
+
+impl FeaturePlan {
+    /// The features that the settings name; `None`: none.
+    /// - errors: the next frame, which motion is about, cannot be had.
+    pub fn of(prepared: &Prepared, settings: &Settings) -> Result<Option<Self>, PrepareError> {
+        let features: Vec<Feature> = settings.features.iter().copied().collect();
+        if features.is_empty() {
+            return Ok(None);
+        }
+        let has_motion = features.contains(&Feature::Motion);
+        let next = if has_motion { NextFrame::of(prepared, &spec(settings, prepared.frame))? } else { None };
+        let ids = |feature, names: &mut dyn Iterator<Item = &str>| -> Vec<u32> {
+            if features.contains(&feature) { names.map(id_of).collect() } else { Vec::new() }
+        };
+        let objects = ids(Feature::Object, &mut prepared.scene.objects.iter().map(|object| object.name.as_str()));
+        let materials = 0..prepared.materials.len() as u32;
+        let materials = ids(Feature::Material, &mut materials.map(|material| prepared.material_name(material)));
+        Ok(Some(Self { features, seed: settings.seed, next, objects, materials, unnamed: id_of("") }))
+    }
+
+    /// What a pixel has.
+    pub fn layout(&self) -> FeatureLayout {
+        feature_layout(&self.features)
+    }
+}
+
+/// The id of a name, or of none.
+fn id_of(name: &str) -> u32 {
+    cryptomatte::id(if name.is_empty() { cryptomatte::UNNAMED } else { name })
+}
+
+/// What a pixel has of these features.
+pub fn feature_layout<'a>(features: impl IntoIterator<Item = &'a Feature>) -> FeatureLayout {
+    features.into_iter().fold(FeatureLayout::default(), |all, feature| FeatureLayout {
+        values: all.values + feature.channels().len() as u32,
+        ids: all.ids + u32::from(feature.matte().is_some()),
+    })
+}
+
+/// Cryptomattes of these features, in the order of their ids: of each its name, and the names in a scene that ids are of, with these.
+pub fn feature_mattes<'a>(
+    features: impl IntoIterator<Item = &'a Feature>,
+    scene: &Scene,
+) -> Vec<(&'static str, Vec<(String, u32)>)> {
+    let with_ids = |names: &mut dyn Iterator<Item = &String>| {
+        let named = names.filter(|name| !name.is_empty()).map(|name| (name.clone(), id_of(name)));
+        named.chain([(cryptomatte::UNNAMED.to_owned(), id_of(""))]).collect()
+    };
+    let of = |feature: &Feature| {
+        let names = match feature {
+            Feature::Object => with_ids(&mut scene.objects.iter().map(|object| &object.name)),
+            Feature::Material => with_ids(&mut scene.materials.iter().map(|material| &material.name)),
+            _ => Vec::new(),
+        };
+        feature.matte().map(|matte| (matte, names))
+    };
+    features.into_iter().filter_map(of).collect()
+}
+
+/// Names of the channels of these features, in the order of [`FeatureImage::channels`](femc_film::FeatureImage::channels).
+pub fn feature_channels<'a>(features: impl IntoIterator<Item = &'a Feature> + Clone) -> Vec<String> {
+    let names = |feature: &Feature| {
+        let name = feature.name();
+        feature.channels().iter().map(move |part| format!("{name}.{part}"))
+    };
+    // Two ranks in each layer of a Cryptomatte: id, share, id, share.
+    let ranks = |matte: &'static str| {
+        let parts = (0..RANKS / 2).flat_map(|number| ["R", "G", "B", "A"].map(|part| (number, part)));
+        parts.map(move |(number, part)| format!("{matte}{number:02}.{part}"))
+    };
+    let values = features.clone().into_iter().flat_map(names);
+    let mattes = features.into_iter().filter_map(|feature| feature.matte()).flat_map(ranks);
+    values.chain(["coverage.A".to_owned()]).chain(mattes).collect()
+}
+
+/// Sums up the features of the pixels that a tracer renders one after the other.
+struct FeatureRecorder<'a> {
+    plan: &'a FeaturePlan,
+    prepared: &'a Prepared,
+    sums: FeatureSums,
+    latest: Option<u32>,
+    // Of the sample that is being traced:
+    key: [u32; 2],
+    values: Vec<f64>,
+    ids: Vec<u32>,
+    has_met: bool,
+}
+
+impl<'a> FeatureRecorder<'a> {
+    fn new(plan: &'a FeaturePlan, prepared: &'a Prepared) -> Self {
+        let sums = FeatureSums::new(plan.layout());
+        let (values, ids) = (Vec::new(), Vec::new());
+        Self { plan, prepared, sums, latest: None, key: [0; 2], values, ids, has_met: false }
+    }
+}
+
+impl Recorder for FeatureRecorder<'_> {
+    const HIDDEN: bool = false;
+    const CAMERA: bool = true;
+
+    fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
+        if self.latest != Some(pixel) {
+            self.latest = Some(pixel);
+            self.sums.begin_pixel();
+        }
+        self.key = [pixel, sample];
+        Hears::End
+    }
+
+    fn camera(&mut self, view: &View, lens: [f32; 2], ray: &Ray) {
+        let prepared = self.prepared;
+        let stream = SampleStream::new(self.plan.seed, prepared.frame, self.key[0], self.key[1]);
+        let first = first_surface(prepared, ray, stream);
+        self.has_met = first.is_some();
+        let Some(first) = first else { return };
+        self.values.clear();
+        self.ids.clear();
+        for feature in &self.plan.features {
+            match feature {
+                Feature::Normal => self.values.extend(first.normal.as_dvec3().to_array()),
+                Feature::Position => self.values.extend(prepared.in_world(first.point.position)),
+                Feature::Depth => self.values.push(prepared.camera.depth(first.point.position, ray.time).into()),
+                Feature::Albedo => self.values.extend(first.albedo.to_array().map(f64::from)),
+                Feature::Motion => {
+                    let point = (first.hit.instance, first.point.position, ray.time);
+                    let next = self.plan.next.as_ref();
+                    let motion = next.and_then(|next| next.motion(prepared, point, (view, lens)));
+                    self.values.extend(motion.unwrap_or_default().map(f64::from));
+                }
+                Feature::Object => {
+                    let object = prepared.object_of(first.hit.instance, first.hit.primitive);
+                    let known = object.and_then(|object| self.plan.objects.get(object.index()));
+                    self.ids.push(known.copied().unwrap_or(self.plan.unnamed));
+                }
+                Feature::Material => {
+                    let known = self.plan.materials.get(first.point.material as usize);
+                    self.ids.push(known.copied().unwrap_or(self.plan.unnamed));
+                }
+            }
+        }
+    }
+
+    fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
+
+    fn leave(&mut self, _: Leaving) {}
+
+    fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
+
+    fn light(&mut self, _: impl FnOnce() -> Contribution) {}
+
+    fn stop(&mut self, _: u32, _: Stop, _: Rgb) {}
+
+    fn end(&mut self, color: Option<Rgb>) {
+        // What the film refuses counts here neither.
+        if color.is_some() {
+            self.sums.add(self.has_met.then_some((&self.values, &self.ids)));
+        }
+    }
+}
+
+/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, with what is asked for beside the picture: layers of
+/// the light, features or both; and with light statistics.
+pub fn render_beside(
+    prepared: &Prepared,
+    settings: &Settings,
+    (light, features): (Option<&LayerPlan>, Option<&FeaturePlan>),
+    statistics: Option<&StatisticsPlan>,
+    rect: Rect,
+    samples: Range<u32>,
+    cancel: &AtomicBool,
+    progress: &AtomicU64,
+) -> Result<(RenderedTile, BesideTile, Option<Statistics>), RenderError> {
+    let of_light = |plan| move || LayerRecorder::new(plan, prepared);
+    let of_features = |plan| move || FeatureRecorder::new(plan, prepared);
+    let range = samples.clone();
+    let tile = |plan: &FeaturePlan, recorders: Vec<FeatureRecorder<'_>>| {
+        let sums = FeatureSums::joined(plan.layout(), recorders.into_iter().map(|recorder| recorder.sums));
+        FeatureTile::new(rect, range.clone(), sums)
+    };
+    let task = (prepared, settings, statistics, rect, samples, cancel, progress);
+    match (light, features) {
+        (Some(light), Some(features)) => {
+            let (of_light, of_features) = (of_light(light), of_features(features));
+            let (rendered, both, statistics) = recorded(task, || Both::new(of_light(), of_features()))?;
+            let (first, second) = both.into_iter().map(|both| (both.first, both.second)).unzip();
+            let (light, features) = (light.tile(rect, range.clone(), first)?, tile(features, second)?);
+            Ok((rendered, BesideTile { light: Some(light), features: Some(features) }, statistics))
+        }
+        (Some(light), None) => {
+            let (rendered, recorders, statistics) = recorded(task, of_light(light))?;
+            let light = light.tile(rect, range.clone(), recorders)?;
+            Ok((rendered, BesideTile { light: Some(light), features: None }, statistics))
+        }
+        (None, Some(features)) => {
+            let (rendered, recorders, statistics) = recorded(task, of_features(features))?;
+            let features = tile(features, recorders)?;
+            Ok((rendered, BesideTile { light: None, features: Some(features) }, statistics))
+        }
+        (None, None) => {
+            let (rendered, _, statistics) = recorded(task, || ())?;
+            Ok((rendered, BesideTile { light: None, features: None }, statistics))
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! The frame before, as it lies in the frame that is painted now.
+
+use crate::{Field, Grid, Planes, StylizeError, Stylized};
+
+/// No pixel, no patch.
+const NONE: u32 = u32::MAX;
+
+/// What was painted in the frame before, moved along with what is seen.
+#[derive(Clone, Debug)]
+pub struct Before {
+    /// Red, green, blue, and a last channel that is 1 where a pixel of the frame before has come, 0 elsewhere (colors are 0 there).
+    image: Planes,
+    /// The pixel of the frame before that each pixel comes from, or [`NONE`].
+    from: Vec<u32>,
+    field: Field,
+}
+
+impl Before {
+    /// Moves each pixel of the frame before to the pixel that it is seen at now. Where several meet, the nearest one is seen.
+    /// - `motion`: of the frame before, pixels: along x and y to where what is seen there is in the frame after it; not finite: unknown;
+    /// - `depth`: of the frame before, one channel, for what hides what; without it, what moves more counts as nearer;
+    /// - errors: sizes or channels do not fit.
+    pub fn new(painted: &Stylized, motion: [&[f32]; 2], depth: Option<&[f32]>) -> Result<Self, StylizeError> {
+        let image = &painted.image;
+        let (width, height) = (image.width(), image.height());
+        let layers = motion.into_iter().chain(depth);
+        if let Some(values) = layers.map(<[f32]>::len).find(|&values| values != width * height) {
+            let (width, height) = (width as u32, height as u32);
+            return Err(StylizeError::Shape { width, height, channels: 1, values });
+        }
+        let mut from = vec![NONE; width * height];
+        let nearness = |at: usize| match depth {
+            Some(depth) => -depth[at],
+            None => motion[0][at] * motion[0][at] + motion[1][at] * motion[1][at],
+        };
+        for (at, (dx, dy)) in motion[0].iter().zip(motion[1]).enumerate() {
+            let (x, y) = ((at % width) as f32 + dx, (at / width) as f32 + dy);
+            let within = |place: f32, end: usize| (-0.5..end as f32 - 0.5).contains(&place);
+            if within(x, width) && within(y, height) {
+                let to = (y + 0.5) as usize * width + (x + 0.5) as usize;
+                if from[to] == NONE || nearness(at) > nearness(from[to] as usize) {
+                    from[to] = at as u32;
+                }
+            }
+        }
+        let from = filled(&from, width, height);
+        let image = Planes::of_rows(width, height, 4, |y, row| {
+            for (x, out) in row.chunks_mut(4).enumerate() {
+                if let Some(at) = Some(from[y * width + x] as usize).filter(|&at| at != NONE as usize) {
+                    out[..3].copy_from_slice(image.pixel(at % width, at / width));
+                    out[3] = 1.0;
+                }
+            }
+        });
+        Ok(Self { image, from, field: painted.field.clone() })
+    }
+
+    /// Columns and rows.
+    pub(crate) fn size(&self) -> [u32; 2] {
+        self.image.size()
+    }
+
+    /// Colors and how far they are known, at all levels.
+    pub(crate) fn pyramid(&self, levels: usize) -> Vec<Planes> {
+        self.image.pyramid(levels)
+    }
+
+    /// The source patches that target patches of a level had in the frame before, or [`NONE`].
+    /// - `level`: 0 is the finest.
+    pub(crate) fn patches(&self, target: Grid, source: Grid, level: usize) -> Vec<u32> {
+        let (width, height, radius) = (self.image.width(), self.image.height(), target.patch() / 2);
+        let patch = |q: u32| {
+            let (x, y) = target.corner(q);
+            let fine = |corner: usize, end: usize| ((corner + radius) << level).min(end - 1);
+            let from = self.from[fine(y, height) * width + fine(x, width)] as usize;
+            if from == NONE as usize {
+                return NONE;
+            }
+            let near = |middle: usize, count: usize| middle.saturating_sub(radius).min(count - 1);
+            let (u, v) =
+                (near(from % width, self.field.target.columns()), near(from / width, self.field.target.rows()));
+            let (p, q) = self.field.source.corner(self.field.patches[self.field.target.at(u, v) as usize]);
+            let coarse = |corner: usize, count: usize| near((corner + radius) >> level, count);
+            source.at(coarse(p, source.columns()), coarse(q, source.rows()))
+        };
+        (0..target.count() as u32).map(patch).collect()
+    }
+
+    /// Mean difference of a picture from the frame before where that is known, levels of 255; `None`: it is known nowhere.
+    pub fn flicker(&self, image: &Planes) -> Option<f64> {
+        let pixels = self.image.values().chunks(4).zip(image.values().chunks(3)).filter(|(before, _)| before[3] > 0.0);
+        let differences = |(before, now): (&[f32], &[f32])| {
+            before[..3].iter().zip(now).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>() / 3.0
+        };
+        let (sum, count) = pixels.map(differences).fold((0.0, 0u32), |(sum, count), it| (sum + it, count + 1));
+        (count > 0).then(|| 255.0 * sum / f64::from(count))
+    }
+}
+
+/// Fills the gaps that open between pixels that move apart: those with five known pixels around take what most neighbors suggest.
+fn filled(from: &[u32], width: usize, height: usize) -> Vec<u32> {
+    let around = |at: usize| {
+        let (x, y) = (at % width, at / width);
+        let rows = y.saturating_sub(1)..(y + 2).min(height);
+        rows.flat_map(move |v| (x.saturating_sub(1)..(x + 2).min(width)).map(move |u| v * width + u))
+    };
+    let fill = |(at, &known): (usize, &u32)| {
+        let mut near = around(at).map(|beside| from[beside]).filter(|&it| it != NONE);
+        match near.clone().count() {
+            _ if known != NONE => known,
+            5.. => near.next().unwrap_or(NONE),
+            _ => NONE,
+        }
+    };
+    from.iter().enumerate().map(fill).collect()
+}
+
+/// What is painted, drawn towards what was there before.
+/// - `before`: colors times how far they are known, and that;
+/// - `hold`: 0 to 1, how much of the frame before is wanted.
+pub(crate) fn held(image: &Planes, before: &Planes, hold: f32) -> Planes {
+    Planes::of_rows(image.width(), image.height(), 3, |y, row| {
+        let pixels = image.run(0, y, image.width()).chunks(3).zip(before.run(0, y, image.width()).chunks(4));
+        for (out, (now, before)) in row.chunks_mut(3).zip(pixels) {
+            for (i, out) in out.iter_mut().enumerate() {
+                *out = now[i] + hold * (before[i] - before[3] * now[i]);
+            }
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Figures, Planes};
+
+    fn painted(width: u32, height: u32) -> Stylized {
+        let values = (0..width * height * 3).map(|i| i as f32 / 1000.0).collect();
+        let image = Planes::new(width, height, 3, values).expect("an image");
+        let grid = Grid::new(width as usize, height as usize, 3);
+        let field = Field { target: grid, source: grid, patches: (0..grid.count() as u32).collect() };
+        let figures = Figures::of(&field, [&image; 2], &image, &image);
+        Stylized { image, field, levels: 1, figures }
+    }
+
+    #[test]
+    fn pixels_go_where_they_are_seen_and_take_their_patches_with_them() {
+        let painted = painted(9, 6);
+        let before = Before::new(&painted, [&[2.0; 54], &[1.0; 54]], None).expect("it fits");
+        for (x, y) in [(2, 1), (8, 5), (5, 3)] {
+            assert_eq!(before.image.pixel(x, y)[..3], *painted.image.pixel(x - 2, y - 1));
+        }
+        assert_eq!(before.image.pixel(1, 3), [0.0; 4], "nothing comes there");
+        let grid = painted.field.target;
+        let patches = before.patches(grid, grid, 0);
+        assert_eq!(patches[grid.at(4, 2) as usize], grid.at(2, 1));
+        assert_eq!(patches[grid.at(0, 2) as usize], NONE);
+    }
+
+    #[test]
+    fn what_is_nearer_hides_what_is_behind_it_and_what_is_unknown_stays_unknown() {
+        let painted = painted(6, 4);
+        let mut motion = vec![0.0; 24];
+        motion[6] = 2.0;
+        motion[3] = f32::NAN;
+        let mut depth = vec![5.0; 24];
+        for (of_first, seen) in [(1.0, 6), (9.0, 8)] {
+            depth[6] = of_first;
+            let before = Before::new(&painted, [&motion, &[0.0; 24]], Some(&depth)).expect("it fits");
+            assert_eq!((before.from[8], before.from[3]), (seen, 2), "a gap is filled from around it");
+        }
+        assert!(Before::new(&painted, [&motion, &[0.0; 23]], None).is_err());
+    }
+
+    #[test]
+    fn what_did_not_change_does_not_flicker() {
+        let painted = painted(7, 5);
+        let before = Before::new(&painted, [&[0.0; 35], &[0.0; 35]], None).expect("it fits");
+        assert_eq!(before.flicker(&painted.image), Some(0.0));
+        let brighter = painted.image.values().iter().map(|value| value + 0.1).collect();
+        let brighter = Planes::new(7, 5, 3, brighter).expect("an image");
+        assert!((before.flicker(&brighter).expect("it is known") - 25.5).abs() < 1e-3);
+        let gone = Before::new(&painted, [&[100.0; 35], &[0.0; 35]], None).expect("it fits");
+        assert_eq!(gone.flicker(&painted.image), None);
+    }
+}

@@ -1,0 +1,26 @@
+//! The nearest source patch of every target patch, by trying all.
+
+use crate::{Field, Patches};
+use rayon::prelude::*;
+
+/// Target patches between two words on progress.
+const BLOCK: usize = 1024;
+
+/// The source patch of the least energy for each target patch; of equal ones the first.
+/// - `tell`: is told the part that is done, 0 to 1.
+pub fn nearest(source: &Patches, target: &Patches, tell: impl Fn(f64)) -> Field {
+    let (sources, count) = (source.grid().count() as u32, target.grid().count());
+    let best = |q: u32| {
+        (0..sources).fold((u32::MAX, 0), |best, p| {
+            let energy = source.energy(p, target, q, best.0);
+            if energy < best.0 { (energy, p) } else { best }
+        })
+    };
+    let mut patches = Vec::with_capacity(count);
+    while patches.len() < count {
+        tell(patches.len() as f64 / count as f64);
+        let block = patches.len()..count.min(patches.len() + BLOCK);
+        patches.par_extend(block.into_par_iter().map(|q| best(q as u32).1));
+    }
+    Field { target: target.grid(), source: source.grid(), patches }
+}

@@ -1,0 +1,149 @@
+//! Patches by number, which source patch each target patch has, and what they paint together.
+
+use crate::Planes;
+use crate::patches::STYLE;
+
+/// The patches of an image: those that lie in it whole, numbered row by row by their upper left pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    columns: usize,
+    rows: usize,
+    patch: usize,
+}
+
+impl Grid {
+    /// The patches of `patch * patch` pixels of an image, which is that large at least.
+    pub fn new(width: usize, height: usize, patch: usize) -> Self {
+        debug_assert!(width >= patch && height >= patch, "{width}x{height} pixels for a patch of {patch}");
+        Self { columns: width + 1 - patch, rows: height + 1 - patch, patch }
+    }
+
+    /// Number of patches, at least 1.
+    pub fn count(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// Width of a patch, pixels.
+    pub fn patch(&self) -> usize {
+        self.patch
+    }
+
+    /// Patches beside each other.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Patches below each other.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// The patch whose corner is `by` away from `corner`; `None`: there is none.
+    #[inline]
+    pub(crate) fn beside(&self, corner: [usize; 2], by: [isize; 2]) -> Option<u32> {
+        let x = corner[0].checked_add_signed(by[0]).filter(|&x| x < self.columns)?;
+        let y = corner[1].checked_add_signed(by[1]).filter(|&y| y < self.rows)?;
+        Some(self.at(x, y))
+    }
+
+    /// Column and row of the upper left pixel of patch `at`.
+    #[inline]
+    pub fn corner(&self, at: u32) -> (usize, usize) {
+        (at as usize % self.columns, at as usize / self.columns)
+    }
+
+    /// The patch with this corner.
+    #[inline]
+    pub fn at(&self, x: usize, y: usize) -> u32 {
+        (y * self.columns + x) as u32
+    }
+}
+
+/// The source patch of each target patch: the nearest neighbor field.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Field {
+    /// Patches of the target.
+    pub target: Grid,
+    /// Patches of the source.
+    pub source: Grid,
+    /// Number of the source patch, by number of the target patch.
+    pub patches: Vec<u32>,
+}
+
+impl Field {
+    /// The picture that the field paints: each pixel is the mean of what the patches over it have there, weighted by the square of
+    /// a tent, since a patch knows most of its middle.
+    /// - `style`: the painted style, three channels.
+    pub fn vote(&self, style: &Planes) -> Planes {
+        let patch = self.target.patch;
+        let (width, height) = (self.target.columns + patch - 1, self.target.rows + patch - 1);
+        // First and last corner of the patches over a column or row.
+        let over = |at: usize, count: usize| (at + 1).saturating_sub(patch)..=at.min(count - 1);
+        let weight = |within: usize| (within + 1).min(patch - within).pow(2) as f32;
+        Planes::of_rows(width, height, STYLE, |y, row| {
+            for (x, out) in row.chunks_mut(STYLE).enumerate() {
+                let mut weights = 0.0f32;
+                for v in over(y, self.target.rows) {
+                    for u in over(x, self.target.columns) {
+                        let (p, q) = self.source.corner(self.patches[self.target.at(u, v) as usize]);
+                        let color = style.pixel(p + x - u, q + y - v);
+                        let weight = weight(x - u) * weight(y - v);
+                        out.iter_mut().zip(color).for_each(|(out, value)| *out += weight * value);
+                        weights += weight;
+                    }
+                }
+                out.iter_mut().for_each(|out| *out /= weights);
+            }
+        })
+    }
+
+    /// The same field between images twice as large: each patch keeps its offset from where its coarse one lies.
+    pub(crate) fn doubled(&self, target: Grid, source: Grid) -> Self {
+        let radius = target.patch / 2;
+        // Centers double, corners lie a radius before them.
+        let coarse = |fine: usize, count: usize| (fine.saturating_sub(radius) / 2).min(count - 1);
+        let fine =
+            |p: usize, q: usize, q_fine: usize, count: usize| (2 * p + q_fine).saturating_sub(2 * q).min(count - 1);
+        let patches = (0..target.count() as u32).map(|at| {
+            let (x, y) = target.corner(at);
+            let (u, v) = (coarse(x, self.target.columns), coarse(y, self.target.rows));
+            let (p, q) = self.source.corner(self.patches[self.target.at(u, v) as usize]);
+            source.at(fine(p, u, x, source.columns), fine(q, v, y, source.rows))
+        });
+        Self { target, source, patches: patches.collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ramp(width: usize, height: usize) -> Planes {
+        Planes::of_rows(width, height, STYLE, |y, row| {
+            let pixels = row.chunks_mut(STYLE).enumerate();
+            pixels.for_each(|(x, out)| out.copy_from_slice(&[x as f32, y as f32, (x * y) as f32]));
+        })
+    }
+
+    #[test]
+    fn the_identity_paints_the_style_and_doubles_to_the_identity() {
+        let style = ramp(9, 7);
+        let grid = Grid::new(9, 7, 3);
+        let field = Field { target: grid, source: grid, patches: (0..grid.count() as u32).collect() };
+        let close = |a: &Planes| a.values().iter().zip(style.values()).all(|(a, b)| (a - b).abs() < 1e-4);
+        assert!(close(&field.vote(&style)));
+        let large = Grid::new(18, 14, 3);
+        assert_eq!(field.doubled(large, large).patches, (0..large.count() as u32).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_pixel_is_the_weighted_mean_of_the_patches_over_it() {
+        let style = ramp(6, 3);
+        // Two target patches beside each other, both of the leftmost source patch.
+        let field = Field { target: Grid::new(4, 3, 3), source: Grid::new(6, 3, 3), patches: vec![0, 0] };
+        let painted = field.vote(&style);
+        let reds: Vec<f32> = (0..4).map(|x| painted.pixel(x, 0)[0]).collect();
+        // Column 1: 1 of weight 4 by the left patch, 0 of weight 1 by the right one.
+        assert_eq!(reds, [0.0, 0.8, 1.2, 2.0]);
+    }
+}

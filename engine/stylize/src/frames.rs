@@ -1,0 +1,95 @@
+//! From files of frames to guides: what of them guides, and how bright it is shown.
+
+use crate::{Planes, StylizeError};
+use femc_film::exr::Channels;
+use femc_film::{FilmError, Image, Picture, ToneCurve};
+use std::io::{Read, Seek};
+use std::path::Path;
+
+/// A frame with the layers that may guide.
+#[derive(Clone, Debug)]
+pub struct GuideFrame {
+    channels: Channels,
+}
+
+impl GuideFrame {
+    /// Of a file: `FRAME.layers.exr`, or any EXR with channels R, G and B.
+    /// - errors: it is no EXR file.
+    pub fn read(path: &Path) -> Result<Self, FilmError> {
+        Channels::read(path).map(|channels| Self { channels })
+    }
+
+    /// The same of a file's bytes.
+    pub fn decode(source: impl Read + Seek) -> Result<Self, FilmError> {
+        Channels::decode(source).map(|channels| Self { channels })
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> [u32; 2] {
+        [self.channels.width, self.channels.height]
+    }
+
+    /// What may guide: layers of light, or, without any, the picture, whose name is empty.
+    pub fn names(&self) -> Vec<&str> {
+        // Albedo is a color, and no light.
+        let layers: Vec<&str> = self.channels.colors().into_iter().filter(|name| *name != "albedo").collect();
+        if layers.is_empty() && self.channels.color("").is_some() { vec![""] } else { layers }
+    }
+
+    /// What decides the exposure: the picture, or, where the file has none, the layer `full`, or the first one.
+    pub fn exposed(&self) -> Option<Image> {
+        let first = || self.names().first().and_then(|name| self.channels.color(name));
+        self.channels.color("").or_else(|| self.channels.color("full")).or_else(first)
+    }
+
+    /// Guides as they are displayed, three channels each, 0..1.
+    /// - errors: the frame has no such layer, or values that are not finite.
+    pub fn guides(&self, names: &[&str], curve: ToneCurve) -> Result<Planes, StylizeError> {
+        let layer = |name: &&str| self.channels.color(name).ok_or_else(|| StylizeError::NoGuide((*name).to_owned()));
+        let images = names.iter().map(layer).collect::<Result<Vec<Image>, _>>()?;
+        let [width, height] = self.size();
+        let pixels = 0..width as usize * height as usize;
+        let unsound = |at: &usize| images.iter().any(|image| image.pixels[*at].iter().any(|value| !value.is_finite()));
+        if let Some(at) = pixels.clone().find(unsound) {
+            return Err(StylizeError::NotFinite { x: at as u32 % width, y: at as u32 / width });
+        }
+        let shown = pixels.flat_map(|at| images.iter().flat_map(move |image| curve.display(image.pixels[at])));
+        Planes::new(width, height, 3 * images.len(), shown.collect())
+    }
+
+    /// Where what is seen is in the next frame, pixels along x and y; `None`: the file has no layer `motion`.
+    pub fn motion(&self) -> Option<[&[f32]; 2]> {
+        Some([self.channels.get("motion.X")?, self.channels.get("motion.Y")?])
+    }
+
+    /// How far away what is seen is; `None`: the file has no layer `depth`.
+    pub fn depth(&self) -> Option<&[f32]> {
+        self.channels.get("depth.Z")
+    }
+}
+
+/// Guides that both frames have, in the order of the first one.
+/// - errors: there is none.
+pub fn common<'a>(source: &'a GuideFrame, target: &GuideFrame) -> Result<Vec<&'a str>, StylizeError> {
+    let others = target.names();
+    let names: Vec<&str> = source.names().into_iter().filter(|name| others.contains(name)).collect();
+    if !names.is_empty() {
+        return Ok(names);
+    }
+    let list = |names: Vec<&str>| names.into_iter().map(str::to_owned).collect();
+    Err(StylizeError::NothingInCommon { source_guides: list(source.names()), target_guides: list(others) })
+}
+
+/// A painting as an image, 0..1.
+pub fn painting(picture: &Picture) -> Result<Planes, StylizeError> {
+    let values = picture.pixels.as_flattened().iter().map(|&byte| f32::from(byte) / 255.0).collect();
+    Planes::new(picture.width, picture.height, 3, values)
+}
+
+/// An image of three channels, 0..1, as a picture.
+pub fn picture(image: &Planes) -> Picture {
+    let byte = |value: f32| (255.0 * value.clamp(0.0, 1.0) + 0.5) as u8;
+    let pixels = image.values().as_chunks().0.iter().map(|pixel| pixel.map(byte)).collect();
+    let [width, height] = image.size();
+    Picture { width, height, pixels }
+}

@@ -1,0 +1,126 @@
+//! Style and guides of a picture in one image of whole numbers, weighted so that the energy of two patches is a squared distance.
+//!
+//! Whole numbers add up to the same energy in any order, so wider instructions change no bit.
+
+use crate::{Grid, Planes, Settings};
+use rayon::prelude::*;
+
+/// Channels of the style: red, green and blue.
+pub(crate) const STYLE: usize = 3;
+/// What a value of 1 of a channel of weight 1 becomes. A patch of 15 x 15 pixels, weights of 1 in all, has energies below 2^31.
+const SCALE: f32 = 3000.0;
+
+/// Weights of the energy. All together are 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weights {
+    /// Of each channel of the style.
+    pub style: f32,
+    /// Of each channel of the guides.
+    pub guide: f32,
+}
+
+impl Weights {
+    /// Of the settings: all guides together have `mu` times the weight of the style.
+    /// - `channels`: of the guides.
+    pub fn new(settings: &Settings, channels: usize) -> Self {
+        let style = 1.0 / (1.0 + settings.mu);
+        Self { style: style / STYLE as f32, guide: style * settings.mu / channels as f32 }
+    }
+}
+
+/// The patches of a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Patches {
+    grid: Grid,
+    width: usize,
+    channels: usize,
+    values: Vec<i16>,
+    weights: Weights,
+}
+
+impl Patches {
+    /// Patches of three channels of `style` and all channels of `guides`.
+    /// - `style`: of the size of the guides; `None`: black, for guides alone.
+    pub fn new(style: Option<&Planes>, guides: &Planes, weights: Weights, patch: usize) -> Self {
+        let (width, channels) = (guides.width(), STYLE + guides.channels());
+        let mut values = vec![0i16; width * guides.height() * channels];
+        let gain = SCALE * weights.guide.sqrt();
+        values.par_chunks_mut(width * channels).enumerate().for_each(|(y, row)| {
+            for (out, guides) in row.chunks_mut(channels).zip(guides.run(0, y, width).chunks(channels - STYLE)) {
+                out[STYLE..].iter_mut().zip(guides).for_each(|(out, value)| *out = whole(*value, gain));
+            }
+        });
+        let grid = Grid::new(width, guides.height(), patch);
+        let mut patches = Self { grid, width, channels, values, weights };
+        if let Some(style) = style {
+            patches.paint(style);
+        }
+        patches
+    }
+
+    /// Takes another style.
+    pub(crate) fn paint(&mut self, style: &Planes) {
+        let (gain, width, channels) = (SCALE * self.weights.style.sqrt(), self.width, self.channels);
+        self.values.par_chunks_mut(width * channels).enumerate().for_each(|(y, row)| {
+            for (out, color) in row.chunks_mut(channels).zip(style.run(0, y, width).chunks(STYLE)) {
+                out[..STYLE].iter_mut().zip(color).for_each(|(out, value)| *out = whole(*value, gain));
+            }
+        });
+    }
+
+    /// Their numbers.
+    pub fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    /// Values of a patch.
+    pub(crate) fn patch_values(&self) -> usize {
+        self.grid.patch() * self.grid.patch() * self.channels
+    }
+
+    /// The energy of a squared difference of `levels` of 255 in all channels of the style, over a whole patch.
+    pub(crate) fn energy_of(&self, levels: f32) -> f64 {
+        let difference = f64::from(SCALE) * f64::from(levels) / 255.0;
+        difference * difference * f64::from(self.weights.style) * (STYLE * self.grid.patch() * self.grid.patch()) as f64
+    }
+
+    #[inline]
+    fn run(&self, x: usize, y: usize) -> &[i16] {
+        let at = (y * self.width + x) * self.channels;
+        &self.values[at..at + self.grid.patch() * self.channels]
+    }
+
+    /// The values of patch `at`, row by row, into `room`, which has as many.
+    pub(crate) fn gather(&self, at: u32, room: &mut [f32]) {
+        let ((x, y), patch) = (self.grid.corner(at), self.grid.patch());
+        for (row, room) in room.chunks_mut(patch * self.channels).enumerate() {
+            room.iter_mut().zip(self.run(x, y + row)).for_each(|(out, value)| *out = f32::from(*value));
+        }
+    }
+
+    /// Energy of patch `mine` of this and patch `theirs` of `other`, or a part of it that is above `limit`.
+    #[inline]
+    pub fn energy(&self, mine: u32, other: &Self, theirs: u32, limit: u32) -> u32 {
+        let ((x, y), (u, v)) = (self.grid.corner(mine), other.grid.corner(theirs));
+        let mut sum = 0;
+        for row in 0..self.grid.patch() {
+            sum += squared_distance(self.run(x, y + row), other.run(u, v + row));
+            if sum > limit {
+                break;
+            }
+        }
+        sum
+    }
+}
+
+#[inline]
+fn whole(value: f32, gain: f32) -> i16 {
+    (gain * value.clamp(0.0, 1.0) + 0.5) as i16
+}
+
+/// Sum of the squared differences of values in 0..=[`SCALE`].
+#[inline]
+fn squared_distance(a: &[i16], b: &[i16]) -> u32 {
+    let difference = |(a, b): (&i16, &i16)| i32::from(a.wrapping_sub(*b));
+    a.iter().zip(b).map(difference).map(|d| d * d).sum::<i32>() as u32
+}

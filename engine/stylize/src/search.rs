@@ -1,0 +1,281 @@
+//! The search for source patches, with a price on those that are used much.
+//!
+//! What a target patch pays for a source patch is the energy of the two, and a **price** for how often the pixels of the source patch are
+//! used by others, in proportion to the mean: patches that are the best for many are left to some of them, and the whole painting is used
+//! (\[kaspar2015\]). A target patch tries the source patches that those of its four neighbors lead to (\[ashikhmin2001\]), and some that
+//! are drawn below the nodes of a k-d tree in which it would lie itself: from its leaf, where patches are most like it, to the root. What is
+//! used much is used much by all that look alike, so a search for the nearest alone finds nothing cheaper.
+//!
+//! Target patches change in turns. In a turn every fourth of every fourth row makes a list of wishes, by the field and the prices that
+//! the turn before left; then wishes are granted one after the other, at prices that count those that were granted before. So threads need
+//! not wait for each other and change no bit, and those who wish for the same patch do not all get it. Each grant makes the
+//! sum of all energies and of half of all prices smaller.
+
+use crate::basis::Basis;
+use crate::tree::Tree;
+use crate::{Field, Grid, Patches};
+use femc_math::hash::mix32;
+use rayon::prelude::*;
+
+/// Columns and rows between target patches of a turn.
+const STRIDE: usize = 4;
+/// Neighbors that are asked.
+const NEIGHBORS: [[isize; 2]; 4] = [[-1, 0], [1, 0], [0, -1], [0, 1]];
+/// Source patches that a target patch draws in a pass.
+const DRAWS: u32 = 2;
+/// Wishes of a target patch.
+const WISHES: usize = 4;
+
+/// Source and target at a level of the pyramids, and the field between them.
+pub(crate) struct Search<'a> {
+    source: &'a Patches,
+    tree: Tree,
+    /// Where in the tree the target patches would lie.
+    leaves: Vec<u32>,
+    prices: Prices,
+    field: Field,
+    /// Source patches that target patches had in the frame before; those that are none were not known there.
+    before: Vec<u32>,
+}
+
+/// The source patches of the leaf in which each target patch would lie: of these the nearest one.
+pub(crate) fn first_guess(source: &Patches, target: &Patches) -> Field {
+    let (tree, leaves) = index(source, target);
+    let nearest = |(q, &leaf): (usize, &u32)| {
+        let energy = |&p: &u32| source.energy(p, target, q as u32, u32::MAX);
+        tree.below(leaf, 0).iter().copied().min_by_key(energy).unwrap_or_default()
+    };
+    let patches = leaves.par_iter().enumerate().map(nearest).collect();
+    Field { target: target.grid(), source: source.grid(), patches }
+}
+
+/// The field that a number of passes finds for a target that stays as it is.
+/// - `price`: of mean use, an energy.
+pub fn search(source: &Patches, target: &Patches, price: f64, passes: u32) -> Field {
+    let mut search = Search::new(source, target, first_guess(source, target), price, Vec::new());
+    (1..=passes).for_each(|salt| search.pass(target, salt));
+    search.field
+}
+
+fn index(source: &Patches, target: &Patches) -> (Tree, Vec<u32>) {
+    let basis = Basis::of(source);
+    let tree = Tree::of(&basis.points(source));
+    let leaves = basis.points(target).par_iter().map(|point| tree.leaf(point)).collect();
+    (tree, leaves)
+}
+
+impl<'a> Search<'a> {
+    /// Begins with a field.
+    /// - `target`: with what the field paints;
+    /// - `price`: of mean use, an energy;
+    /// - `before`: a source patch that each target patch tries first; empty: none has one. Numbers that no patch has count as none.
+    pub(crate) fn new(source: &'a Patches, target: &Patches, field: Field, price: f64, before: Vec<u32>) -> Self {
+        let (tree, leaves) = index(source, target);
+        let prices = Prices::new(&field, price);
+        Self { source, tree, leaves, prices, field, before }
+    }
+
+    /// The field.
+    pub(crate) fn field(&self) -> &Field {
+        &self.field
+    }
+
+    /// Gives every target patch a turn.
+    /// - `target`: with what is painted so far;
+    /// - `salt`: of this pass, for its draws.
+    pub(crate) fn pass(&mut self, target: &Patches, salt: u32) {
+        let patches = self.field.patches.par_iter().enumerate();
+        let mut energies: Vec<u32> = patches.map(|(q, &p)| self.source.energy(p, target, q as u32, u32::MAX)).collect();
+        let targets = self.field.target;
+        for turn in 0..STRIDE * STRIDE {
+            // Turns that follow each other lie apart.
+            let place = 5 * turn % (STRIDE * STRIDE);
+            let rows: Vec<usize> = (place / STRIDE..targets.rows()).step_by(STRIDE).collect();
+            let columns = || (place % STRIDE..targets.columns()).step_by(STRIDE);
+            let wish = |x: usize, y: usize| self.wish(target, &energies, [x, y], salt);
+            let of_row = |&y: &usize| columns().filter_map(|x| wish(x, y)).collect::<Vec<_>>();
+            let wishes: Vec<Vec<Wish>> = rows.par_iter().map(of_row).collect();
+            wishes.iter().flatten().for_each(|wish| self.grant(wish, &mut energies));
+        }
+    }
+
+    /// What would be cheaper for a target patch; `None`: nothing.
+    fn wish(&self, target: &Patches, energies: &[u32], [x, y]: [usize; 2], salt: u32) -> Option<Wish> {
+        let Field { target: targets, source: sources, patches } = &self.field;
+        let q = targets.at(x, y);
+        let has = patches[q as usize];
+        let mine = sources.corner(has);
+        let pays = energies[q as usize].saturating_add(self.prices.without(has, mine));
+        let mut wish = Wish { q, best: [Candidate { pays, p: has, energy: 0 }; WISHES] };
+        let mut consider = |p: u32| {
+            if wish.best.iter().all(|known| known.p != p) {
+                let (limit, price) = (wish.best[WISHES - 1].pays, self.prices.without(p, mine));
+                let energy = self.source.energy(p, target, q, limit.saturating_sub(price));
+                wish.add(Candidate { pays: energy.saturating_add(price), p, energy });
+            }
+        };
+        let before = self.before.get(q as usize).filter(|&&p| (p as usize) < sources.count());
+        before.into_iter().for_each(|&p| consider(p));
+        for [dx, dy] in NEIGHBORS {
+            if let Some(neighbor) = targets.beside([x, y], [dx, dy]) {
+                let (u, v) = sources.corner(patches[neighbor as usize]);
+                sources.beside([u, v], [-dx, -dy]).into_iter().for_each(&mut consider);
+            }
+        }
+        for draw in 0..DRAWS {
+            let random = mix32(q ^ mix32(salt * DRAWS + draw));
+            let below = self.tree.below(self.leaves[q as usize], mix32(random) % (self.tree.height() + 1));
+            consider(below[((u64::from(random) * below.len() as u64) >> 32) as usize]);
+        }
+        (wish.best[0].p != has).then_some(wish)
+    }
+
+    /// Gives a target patch the cheapest of what it has and wishes.
+    fn grant(&mut self, wish: &Wish, energies: &mut [u32]) {
+        let q = wish.q as usize;
+        let has = self.field.patches[q];
+        let mine = self.field.source.corner(has);
+        let wished = wish.best.iter().filter(|candidate| candidate.p != has).map(|it| (it.p, it.energy));
+        let pays = |&(p, energy): &(u32, u32)| energy.saturating_add(self.prices.without(p, mine));
+        let Some((p, energy)) = [(has, energies[q])].into_iter().chain(wished).min_by_key(pays) else { return };
+        if p != has {
+            self.prices.change(has, p);
+            (self.field.patches[q], energies[q]) = (p, energy);
+        }
+    }
+}
+
+/// A source patch for a target patch.
+#[derive(Clone, Copy)]
+struct Candidate {
+    pays: u32,
+    p: u32,
+    energy: u32,
+}
+
+/// What a target patch would like better than what it has.
+struct Wish {
+    q: u32,
+    /// The cheapest first; the rest is what it has.
+    best: [Candidate; WISHES],
+}
+
+impl Wish {
+    fn add(&mut self, candidate: Candidate) {
+        let at = self.best.partition_point(|known| known.pays <= candidate.pays);
+        if at < WISHES {
+            self.best[at..].rotate_right(1);
+            self.best[at] = candidate;
+        }
+    }
+}
+
+/// What source patches cost.
+struct Prices {
+    grid: Grid,
+    /// How often the pixels of each source patch are used, summed up.
+    loads: Vec<u32>,
+    /// Price of a load of 1, times [`Self::ONE`].
+    unit: u64,
+}
+
+impl Prices {
+    const ONE: f64 = 65536.0;
+
+    fn new(field: &Field, price: f64) -> Self {
+        let (grid, patch) = (field.source, field.source.patch() as f64);
+        let mut uses = vec![0; grid.count()];
+        field.patches.iter().for_each(|&p| uses[p as usize] += 1);
+        let mean = field.patches.len() as f64 / grid.count() as f64 * patch.powi(4);
+        let unit = (price / mean * Self::ONE).round() as u64;
+        let mut prices = Self { grid, loads: vec![0; grid.count()], unit };
+        prices.count(&uses);
+        prices
+    }
+
+    fn change(&mut self, from: u32, to: u32) {
+        self.add(from, u32::wrapping_sub);
+        self.add(to, u32::wrapping_add);
+    }
+
+    /// Adds a use of a patch, or takes one away.
+    fn add(&mut self, p: u32, by: impl Fn(u32, u32) -> u32) {
+        let ((x, y), patch) = (self.grid.corner(p), self.grid.patch());
+        let near = |at: usize, end: usize| at.saturating_sub(patch - 1)..(at + patch).min(end);
+        for v in near(y, self.grid.rows()) {
+            let high = (patch - v.abs_diff(y)) as u32;
+            for u in near(x, self.grid.columns()) {
+                let load = &mut self.loads[self.grid.at(u, v) as usize];
+                *load = by(*load, high * (patch - u.abs_diff(x)) as u32);
+            }
+        }
+    }
+
+    /// Loads of all uses.
+    fn count(&mut self, uses: &[u32]) {
+        // Two patches share (patch - |dx|) (patch - |dy|) pixels.
+        let (columns, patch) = (self.grid.columns(), self.grid.patch());
+        let mut along = vec![0; uses.len()];
+        for (uses, row) in uses.chunks(columns).zip(along.chunks_mut(columns)) {
+            tent(uses, 1, row, patch);
+        }
+        for column in 0..columns {
+            tent(&along[column..], columns, &mut self.loads[column..], patch);
+        }
+    }
+
+    /// The price of `p` for a target patch that has the one at `mine`, which does not count.
+    #[inline]
+    fn without(&self, p: u32, mine: (usize, usize)) -> u32 {
+        let (x, y) = self.grid.corner(p);
+        let beside = |a: usize, b: usize| self.grid.patch().saturating_sub(a.abs_diff(b)) as u32;
+        let others = self.loads[p as usize] - beside(x, mine.0) * beside(y, mine.1);
+        (u64::from(others).saturating_mul(self.unit) >> 16).min(u64::from(u32::MAX)) as u32
+    }
+}
+
+/// Filters every `step`th value by a tent of `2 patch - 1` values.
+fn tent(values: &[u32], step: usize, out: &mut [u32], patch: usize) {
+    let count = values.len().div_ceil(step);
+    let value = |at: usize| if at < count { values[at * step] } else { 0 };
+    // The weight of value i at place o is patch - |i - o|: what comes nearer grows by 1, what goes away falls by 1.
+    let mut sum: u32 = (0..patch - 1).map(|i| (patch - 1 - i) as u32 * value(i)).sum();
+    let mut ahead: u32 = (0..patch - 1).map(value).sum();
+    let mut behind = 0;
+    for at in 0..count {
+        ahead += value(at + patch - 1);
+        sum = sum + ahead - behind;
+        out[at * step] = sum;
+        ahead -= value(at);
+        behind += value(at);
+        if at >= patch {
+            behind -= value(at - patch);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn loads_are_pixels_that_patches_share_also_after_changes() {
+        let grid = Grid::new(13, 11, 5);
+        let patches: Vec<u32> = (0..40u32).map(|at| mix32(at) % grid.count() as u32).collect();
+        let field = Field { target: Grid::new(44, 5, 5), source: grid, patches };
+        let mut prices = Prices::new(&field, 1.0);
+        let mut field = field;
+        for q in [3, 17, 30] {
+            let to = mix32(1000 + q) % grid.count() as u32;
+            prices.change(std::mem::replace(&mut field.patches[q as usize], to), to);
+        }
+        let shared = |a: u32, b: u32| {
+            let ((x, y), (u, v)) = (grid.corner(a), grid.corner(b));
+            (5usize.saturating_sub(x.abs_diff(u)) * 5usize.saturating_sub(y.abs_diff(v))) as u32
+        };
+        for p in 0..grid.count() as u32 {
+            let load: u32 = field.patches.iter().map(|&other| shared(p, other)).sum();
+            assert_eq!(prices.loads[p as usize], load, "patch {p}");
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! From the coarsest level to the finest.
+
+use crate::before::held;
+use crate::patches::{STYLE, Weights};
+use crate::search::{Search, first_guess};
+use crate::{Before, Field, Figures, Grid, Method, Patches, Planes, Settings, StylizeError, brute};
+
+/// A painted example.
+#[derive(Clone, Copy, Debug)]
+pub struct Example<'a> {
+    /// What is painted: red, green and blue.
+    pub style: &'a Planes,
+    /// What is known of the source at each pixel of the painting.
+    pub guides: &'a Planes,
+}
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Level in work, from 1 (the coarsest) on.
+    pub level: usize,
+    /// All levels.
+    pub levels: usize,
+    /// Search in work, from 1 on; 0: the first guess, from guides alone.
+    pub iteration: usize,
+    /// Searches of a level.
+    pub iterations: usize,
+    /// The part of all work that is done, 0 to 1, by the number of patches.
+    pub fraction: f64,
+}
+
+/// A picture in the style of an example.
+#[derive(Clone, Debug)]
+pub struct Stylized {
+    /// Red, green and blue, of the size of the target.
+    pub image: Planes,
+    /// The source patches that painted it.
+    pub field: Field,
+    /// Levels of the pyramids.
+    pub levels: usize,
+    /// What it is judged by.
+    pub figures: Figures,
+}
+
+/// Paints the target.
+/// - `target`: guides, the same channels as the example's;
+/// - `before`: the frame before, of the target's size, that the painting is to hold on to;
+/// - `progress`: told before each step;
+/// - errors: sizes, channels or settings do not fit.
+pub fn stylize(
+    example: Example<'_>,
+    target: &Planes,
+    before: Option<&Before>,
+    settings: &Settings,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Stylized, StylizeError> {
+    let Example { style, guides } = example;
+    if style.size() != guides.size() {
+        return Err(StylizeError::StyleSize { style: style.size(), source_size: guides.size() });
+    }
+    if style.channels() != STYLE {
+        return Err(StylizeError::StyleChannels(style.channels()));
+    }
+    if guides.channels() != target.channels() {
+        let (source_channels, target_channels) = (guides.channels(), target.channels());
+        return Err(StylizeError::Channels { source_channels, target_channels });
+    }
+    if let Some(before) = before.map(Before::size).filter(|&before| before != target.size()) {
+        return Err(StylizeError::BeforeSize { before, target: target.size() });
+    }
+    let levels = settings.check(guides, target)?;
+    let held = before.map(|before| before.pyramid(levels));
+    let [styles, sources, targets] = [style, guides, target].map(|image| image.pyramid(levels));
+    let steps = Steps::new(&targets, settings, progress);
+    let mut last: Option<(Field, Planes)> = None;
+    for (at, ((style, guides), target)) in styles.iter().zip(&sources).zip(&targets).enumerate().rev() {
+        let before = before.zip(held.as_ref()).map(|(before, held)| (before, &held[at]));
+        let step = &|iteration, part| steps.tell(at, iteration, part);
+        let work = Work { style, guides, target, before, level: at, settings, step };
+        let field = last.map_or_else(|| work.first_guess(), |last| work.doubled(&last.0));
+        last = Some(work.paint(field));
+    }
+    let (field, image) = last.ok_or(StylizeError::Levels { levels, most: 0, patch: settings.patch })?;
+    let figures = Figures::of(&field, [guides, target], style, &image);
+    Ok(Stylized { image, field, levels, figures })
+}
+
+/// A level.
+struct Work<'a> {
+    style: &'a Planes,
+    guides: &'a Planes,
+    target: &'a Planes,
+    /// The frame before, and what it had painted at this level.
+    before: Option<(&'a Before, &'a Planes)>,
+    /// 0 is the finest.
+    level: usize,
+    settings: &'a Settings,
+    /// Told the iteration and the part of it that is done.
+    step: &'a dyn Fn(usize, f64),
+}
+
+impl Work<'_> {
+    fn patches(&self, style: Option<&Planes>, guides: &Planes) -> Patches {
+        Patches::new(style, guides, Weights::new(self.settings, guides.channels()), self.settings.patch)
+    }
+
+    /// By the guides alone.
+    fn first_guess(&self) -> Field {
+        (self.step)(0, 0.0);
+        let [source, target] = [self.guides, self.target].map(|guides| self.patches(None, guides));
+        first_guess(&source, &target)
+    }
+
+    /// By the field of the level before.
+    fn doubled(&self, field: &Field) -> Field {
+        let grid = |image: &Planes| Grid::new(image.width(), image.height(), self.settings.patch);
+        field.doubled(grid(self.target), grid(self.guides))
+    }
+
+    /// What a search is to find: what is painted so far, drawn towards the frame before.
+    fn wanted(&self, image: &Planes) -> Option<Planes> {
+        self.before.map(|(_, painted)| held(image, painted, 1.0 - self.settings.boil))
+    }
+
+    /// Search and vote by turns.
+    fn paint(&self, mut field: Field) -> (Field, Planes) {
+        let source = self.patches(Some(self.style), self.guides);
+        let mut image = field.vote(self.style);
+        let mut target = self.patches(Some(self.wanted(&image).as_ref().unwrap_or(&image)), self.target);
+        let mut search = match self.settings.method {
+            Method::Balanced => {
+                let grids = (target.grid(), source.grid());
+                let before = self.before.map(|(before, _)| before.patches(grids.0, grids.1, self.level));
+                let price = source.energy_of(self.settings.balance);
+                Some(Search::new(&source, &target, field.clone(), price, before.unwrap_or_default()))
+            }
+            Method::Em => None,
+        };
+        for iteration in 1..=self.settings.iterations {
+            let tell = |part| (self.step)(iteration, part);
+            match &mut search {
+                Some(search) => {
+                    tell(0.0);
+                    search.pass(&target, iteration as u32);
+                    field.clone_from(search.field());
+                }
+                None => field = brute::nearest(&source, &target, tell),
+            }
+            image = field.vote(self.style);
+            target.paint(self.wanted(&image).as_ref().unwrap_or(&image));
+        }
+        (field, image)
+    }
+}
+
+/// The parts of the work.
+struct Steps<'a> {
+    /// Pixels of each level, the finest first.
+    pixels: Vec<f64>,
+    iterations: usize,
+    progress: &'a (dyn Fn(Progress) + Sync),
+}
+
+impl<'a> Steps<'a> {
+    fn new(targets: &[Planes], settings: &Settings, progress: &'a (dyn Fn(Progress) + Sync)) -> Self {
+        let pixels = |image: &Planes| (image.width() * image.height()) as f64;
+        // Brute force tries as many patches for each as there are.
+        let power = match settings.method {
+            Method::Balanced => 1,
+            Method::Em => 2,
+        };
+        let pixels = targets.iter().map(|image| pixels(image).powi(power)).collect();
+        Self { pixels, iterations: settings.iterations, progress }
+    }
+
+    fn tell(&self, at: usize, iteration: usize, part: f64) {
+        let (levels, iterations) = (self.pixels.len(), self.iterations);
+        let all: f64 = self.pixels.iter().sum();
+        let before: f64 = self.pixels[at + 1..].iter().sum();
+        let here = self.pixels[at] * (iteration.saturating_sub(1) as f64 + part) / iterations.max(1) as f64;
+        let fraction = if iteration == 0 { 0.0 } else { (before + here) / all };
+        (self.progress)(Progress { level: levels - at, levels, iteration, iterations, fraction });
+    }
+}

@@ -1,0 +1,5 @@
+//! Painted light on made-up images.
+
+mod painted;
+mod search;
+mod world;

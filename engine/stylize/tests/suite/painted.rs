@@ -1,0 +1,134 @@
+//! Whole pictures.
+
+use crate::world::{guides, style};
+use femc_stylize::{Before, Example, Method, Planes, Settings, StylizeError, Stylized, stylize};
+
+fn painted(source: &Planes, target: &Planes, settings: &Settings) -> Stylized {
+    stylize(Example { style: &style(source), guides: source }, target, None, settings, &|_| ()).expect("a picture")
+}
+
+/// Root of the mean squared difference.
+fn difference(a: &Planes, b: &Planes) -> f32 {
+    let sum: f32 = a.values().iter().zip(b.values()).map(|(a, b)| (a - b) * (a - b)).sum();
+    (sum / a.values().len() as f32).sqrt()
+}
+
+#[test]
+fn every_target_patch_has_a_source_patch_and_every_pixel_a_color_of_the_style() {
+    let source = guides(40, 32, [0.5, 0.5], 1);
+    for (width, height) in [(40, 32), (90, 70), (17, 14)] {
+        let target = guides(width, height, [0.3, 0.6], 2);
+        let result = painted(&source, &target, &Settings::default());
+        let grid = result.field.target;
+        assert_eq!((result.image.width(), result.image.height()), (width as usize, height as usize));
+        assert_eq!(result.field.patches.len(), grid.count());
+        assert!(result.field.patches.iter().all(|&p| (p as usize) < result.field.source.count()));
+        let style = style(&source);
+        let (least, most) = style.values().iter().fold((1.0f32, 0.0f32), |(a, b), &v| (a.min(v), b.max(v)));
+        assert!(result.image.values().iter().all(|v| (least - 1e-4..=most + 1e-4).contains(v)));
+    }
+}
+
+#[test]
+fn threads_change_no_bit() {
+    let (source, target) = (guides(48, 40, [0.5, 0.5], 1), guides(50, 44, [0.4, 0.4], 2));
+    let by = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| painted(&source, &target, &Settings::default()))
+    };
+    let [one, two, five] = [1, 2, 5].map(by);
+    for other in [two, five] {
+        assert_eq!(one.image, other.image);
+        assert_eq!((&one.field, one.figures), (&other.field, other.figures));
+    }
+}
+
+#[test]
+fn the_source_itself_is_painted_as_the_style() {
+    let source = guides(48, 36, [0.5, 0.5], 1);
+    let style = style(&source);
+    for method in [Method::Balanced, Method::Em] {
+        let result = painted(&source, &source, &Settings { method, ..Settings::default() });
+        assert!(difference(&result.image, &style) < 0.02, "{method:?}: {}", difference(&result.image, &style));
+        assert!(result.figures.guide_error < 75.0, "{method:?}: {:?}", result.figures);
+    }
+}
+
+#[test]
+fn a_price_on_use_shows_more_of_the_painting_than_the_nearest_patches_do() {
+    let (source, target) = (guides(48, 40, [0.5, 0.5], 1), guides(48, 40, [0.35, 0.6], 2));
+    let figures = |method| painted(&source, &target, &Settings { method, ..Settings::default() }).figures;
+    let [balanced, em] = [Method::Balanced, Method::Em].map(figures);
+    assert!(balanced.usage_entropy > em.usage_entropy, "{balanced:?} {em:?}");
+    assert!(balanced.unused < em.unused, "{balanced:?} {em:?}");
+    assert!(balanced.usage_entropy <= balanced.usage_entropy_most + 1e-9, "{balanced:?}");
+}
+
+#[test]
+fn what_does_not_fit_is_refused_by_what_it_is() {
+    let (source, target) = (guides(20, 16, [0.5, 0.5], 1), guides(20, 16, [0.4, 0.5], 2));
+    let painting = style(&source);
+    let refused = |style: &Planes, target: &Planes, settings: &Settings| {
+        stylize(Example { style, guides: &source }, target, None, settings, &|_| ()).expect_err("refused")
+    };
+    let settings = Settings::default();
+    assert!(matches!(
+        refused(&style(&guides(21, 16, [0.5; 2], 1)), &target, &settings),
+        StylizeError::StyleSize { .. }
+    ));
+    let gray = Planes::new(20, 16, 1, vec![0.5; 320]).expect("an image");
+    assert_eq!(refused(&gray, &target, &settings), StylizeError::StyleChannels(1));
+    let expected = StylizeError::Channels { source_channels: 3, target_channels: 1 };
+    assert_eq!(refused(&painting, &gray, &settings), expected);
+    for (settings, expected) in [
+        (Settings { mu: -1.0, ..settings }, StylizeError::Mu(-1.0)),
+        (Settings { mu: f32::INFINITY, ..settings }, StylizeError::Mu(f32::INFINITY)),
+        (Settings { balance: -1.0, ..settings }, StylizeError::Balance(-1.0)),
+        (Settings { boil: 1.5, ..settings }, StylizeError::Boil(1.5)),
+        (Settings { patch: 4, ..settings }, StylizeError::Patch(4)),
+        (Settings { patch: 17, ..settings }, StylizeError::Patch(17)),
+        (Settings { levels: Some(0), ..settings }, StylizeError::Levels { levels: 0, most: 1, patch: 5 }),
+        (Settings { levels: Some(2), ..settings }, StylizeError::Levels { levels: 2, most: 1, patch: 5 }),
+    ] {
+        assert_eq!(refused(&painting, &target, &settings), expected);
+    }
+    let small = guides(20, 4, [0.5, 0.5], 1);
+    assert_eq!(refused(&painting, &small, &settings), StylizeError::Levels { levels: 1, most: 0, patch: 5 });
+}
+
+#[test]
+fn a_frame_holds_on_to_the_one_before_as_much_as_it_is_told_to() {
+    let size = [64, 48];
+    let source = guides(size[0], size[1], [0.5, 0.5], 1);
+    let (painting, pixels) = (style(&source), (size[0] * size[1]) as usize);
+    let example = Example { style: &painting, guides: &source };
+    // The ball goes 2 pixels to the right and the noise of its light is another one.
+    let middles = [0.4, 0.4 + 2.0 / size[0] as f32];
+    let [first, second] = [0, 1].map(|at| guides(size[0], size[1], [middles[at], 0.5], 2 + at as u64));
+    let painted = stylize(example, &first, None, &Settings::default(), &|_| ()).expect("a picture");
+    let radius = 0.3 * size[1] as f32;
+    let motion: Vec<f32> = (0..pixels)
+        .map(|at| {
+            let (x, y) = ((at % size[0] as usize) as f32, (at / size[0] as usize) as f32);
+            let (u, v) = (x - middles[0] * size[0] as f32, y - 0.5 * size[1] as f32);
+            if u * u + v * v < radius * radius { 2.0 } else { 0.0 }
+        })
+        .collect();
+    let before = Before::new(&painted, [&motion, &vec![0.0; pixels]], None).expect("it fits");
+    let flicker = |before: Option<&Before>, boil| {
+        let settings = Settings { boil, ..Settings::default() };
+        let image = stylize(example, &second, before, &settings, &|_| ()).expect("a picture").image;
+        self::before(&painted, &motion).flicker(&image).expect("it is known")
+    };
+    let [alone, held, half, anew] =
+        [flicker(None, 0.0), flicker(Some(&before), 0.0), flicker(Some(&before), 0.5), flicker(Some(&before), 1.0)];
+    eprintln!("flicker alone {alone:.2}, held {held:.2}, half {half:.2}, anew {anew:.2} levels");
+    assert!(held < half && half < alone && held < 0.5 * alone, "{held} {half} {anew} {alone}");
+    let smaller = guides(60, 48, [0.5, 0.5], 1);
+    let error = stylize(example, &smaller, Some(&before), &Settings::default(), &|_| ()).expect_err("another size");
+    assert_eq!(error, StylizeError::BeforeSize { before: size, target: [60, 48] });
+}
+
+fn before(painted: &Stylized, motion: &[f32]) -> Before {
+    Before::new(painted, [motion, &vec![0.0; motion.len()]], None).expect("it fits")
+}

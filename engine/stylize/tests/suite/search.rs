@@ -1,0 +1,34 @@
+//! The search beside brute force.
+
+use crate::world::{guides, style};
+use femc_stylize::{Patches, Settings, Weights, brute_force, search};
+
+/// Mean energy of what the search finds in as many passes as a level has, a part of that by brute force; both are free of prices.
+fn beside_brute_force(width: u32, height: u32) -> f64 {
+    let (source, target) = (guides(width, height, [0.5, 0.5], 1), guides(width, height, [0.4, 0.6], 2));
+    let settings = Settings::default();
+    let weights = Weights::new(&settings, source.channels());
+    let [source, target] =
+        [&source, &target].map(|guides| Patches::new(Some(&style(guides)), guides, weights, settings.patch));
+    let fields = [search(&source, &target, 0.0, settings.iterations as u32), brute_force(&source, &target, |_| ())];
+    let [found, least] = fields.map(|field| {
+        let energy = |(q, &p): (usize, &u32)| f64::from(source.energy(p, &target, q as u32, u32::MAX));
+        field.patches.iter().enumerate().map(energy).sum::<f64>()
+    });
+    eprintln!("energy {:.4} of the least", found / least);
+    found / least
+}
+
+#[test]
+fn the_search_agrees_with_brute_force() {
+    let ratio = beside_brute_force(48, 40);
+    assert!((1.0..1.1).contains(&ratio), "{ratio}");
+}
+
+/// Too long for every run: 96 x 96 pixels by brute force.
+#[test]
+#[ignore = "a minute"]
+fn the_search_agrees_with_brute_force_in_a_larger_image() {
+    let ratio = beside_brute_force(96, 96);
+    assert!((1.0..1.1).contains(&ratio), "{ratio}");
+}

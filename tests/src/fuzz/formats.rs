@@ -8,7 +8,7 @@ use bytes::Bytes;
 use femc_field::{FogCell, FogTree, Line};
 use femc_film::tile::OPEN;
 use femc_film::{
-    BesidePiece, BesideTile, Errors, FeatureLayout, FeatureSums, FeatureTile, Frame, LayerSums, LayerTile, Levels,
+    BesidePiece, BesideTile, Errors, FeatureLayout, FeatureSums, FeatureTile, Frame, LayerLight, LayerTile, Levels,
     Piece, Rect, Sample, Tile, Tiling,
 };
 use femc_geometry::Hit;
@@ -177,9 +177,11 @@ fn film() -> Vec<Target> {
 /// Layers and features of a tile, and both of several.
 fn beside() -> Vec<Target> {
     let (tiling, rect) = (Tiling::new(4, 3, 8).expect("a tiling"), Rect { x: 0, y: 0, width: 4, height: 3 });
-    let (mut light, mut features) = (LayerSums::default(), FeatureSums::new(FeatureLayout { values: 2, ids: 2 }));
+    let mut light = LayerLight::default();
     light.add(1, Rgb::new(1.0, 2.0, 0.5));
+    let mut light = light.take().expect("light");
     light.count(1);
+    let mut features = FeatureSums::new(FeatureLayout { values: 2, ids: 2 });
     for pixel in 0..12 {
         features.begin_pixel();
         features.add(None);

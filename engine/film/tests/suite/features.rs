@@ -3,7 +3,7 @@
 use femc_film::features::RANKS;
 use femc_film::tile::OPEN;
 use femc_film::{
-    BesidePiece, BesideTile, FeatureImage, FeatureLayout, FeatureSums, FeatureTile, FilmError, LayerSums, LayerTile,
+    BesidePiece, BesideTile, FeatureImage, FeatureLayout, FeatureSums, FeatureTile, FilmError, LayerLight, LayerTile,
     Rect, Tiling,
 };
 use femc_math::Rgb;
@@ -38,11 +38,10 @@ fn tile(samples: Range<u32>) -> FeatureTile {
 }
 
 fn light(samples: Range<u32>) -> LayerTile {
-    let mut sums = LayerSums::default();
-    for sample in samples.clone() {
-        sums.add(sample, Rgb::ONE);
-        sums.count(sample);
-    }
+    let mut light = LayerLight::default();
+    samples.clone().for_each(|sample| light.add(sample, Rgb::ONE));
+    let mut sums = light.take().unwrap();
+    samples.clone().for_each(|sample| sums.count(sample));
     LayerTile::of_pixels(RECT, samples, 1, &[sums; 15]).unwrap()
 }
 

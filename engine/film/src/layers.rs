@@ -1,71 +1,60 @@
 //! Exact sums of the layers of a tile, and what is resolved of them.
 //!
-//! A layer has, for each pixel, the sums of its color by half in 128-bit fixed point and the counts of samples: 104 bytes. They are
-//! those of the tile in all that matters: a sample counts in the layers when it counts in the picture, halves are held from the same
-//! sample on and have the same weights. So layers that part the light of each sample sum up to the picture, within the rounding of floats.
+//! Light that several layers take together is summed up once, by color and half in 128-bit fixed point: 96 bytes a pixel for each set of
+//! layers, and 8 for the counts of samples. A layer is the sum of the sets that it is in. The sums are those of the tile in all that matters:
+//! a sample counts in the layers when it counts in the picture, halves are held from the same sample on and have the same weights. So
+//! layers that part the light of each sample sum up to the picture, within the rounding of floats.
 //!
 //! As bytes:
 //!
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCLAYR`: sums of samples of a tile; `FEMCLPIX`: resolved pixels of several tiles |
-//! | 4 | format version, 1 |
+//! | 4 | format version: 2 of sums, 1 of pixels |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 | number of layers, 1 to 64 |
-//! | 6 x 4 | of sums: x, y, width, height; first sample, one past the last |
+//! | 7 x 4 | of sums: x, y, width, height; first sample, one past the last; number of sets of layers |
+//! | 8 each | of sums: the sets, ascending, a bit for each layer |
 //! | 5 x 4 | of pixels: film width, film height, tile edge; first tile, one past the last |
 //! | 8 each | of pixels: of each tile its samples, the first, one past the last |
-//! | rest | zstd frame of the layers one after the other, row by row (of pixels tile by tile), in byte planes |
+//! | rest | zstd frame, in byte planes: of sums the counts, then the sets, each row by row; of pixels the layers, tile by tile |
 
-use crate::codec::{begin, finish, open, to_planes};
+use crate::codec::{begin, finish, from_planes, open, to_planes};
 use crate::piece::{variance_factor, weights};
-use crate::tile::{Ends, HALVES, MAX_TILE_PIXELS, OPEN, half_of};
+use crate::tile::{Ends, HALVES, MAX_TILE_PIXELS, OPEN};
 use crate::{FilmError, Rect, SampleRange, Tiling};
 use femc_math::Rgb;
-use femc_math::sampler::replicate_of;
 use femc_stats::ExactSum;
 use femc_stats::exact::{BufferedSums, RadianceSum};
 use std::ops::Range;
 
 const SUMS: &[u8; 8] = b"FEMCLAYR";
 const PIXELS: &[u8; 8] = b"FEMCLPIX";
-const VERSION: u32 = 1;
-const SUM_BYTES: usize = 16 * 3 * HALVES + 4 * HALVES;
+const SUMS_VERSION: u32 = 2;
+const PIXELS_VERSION: u32 = 1;
+const SUM_BYTES: usize = 16 * 3 * HALVES;
+const COUNT_BYTES: usize = 4 * HALVES;
 const PIXEL_BYTES: usize = 4 * 6;
 /// Most layers.
 const MOST: u32 = 64;
 
-/// Sums of a layer over the good samples of one pixel.
+/// Sums of the light of the good samples of one pixel, of each half, cd/m2, without samples that are held.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LayerSums {
-    /// Color of each half, cd/m2, without samples that are held.
-    pub color: [[RadianceSum; 3]; HALVES],
-    /// Good samples of each half that are not held.
-    pub count: [u32; HALVES],
-}
+pub struct LightSums(pub [[RadianceSum; 3]; HALVES]);
 
-impl LayerSums {
-    /// Counts sample number `index`, which is the same in all layers of a pixel.
-    #[inline]
-    pub fn count(&mut self, index: u32) {
-        let count = &mut self.count[half_of(replicate_of(index))];
-        *count = count.saturating_add(1);
-    }
-
+impl LightSums {
     /// Adds the samples of `other`, which are others.
-    #[inline]
-    pub fn merge(&mut self, other: &Self) {
-        self.color.as_flattened_mut().iter_mut().zip(other.color.as_flattened()).for_each(|(a, b)| a.merge(*b));
-        self.count.iter_mut().zip(other.count).for_each(|(a, b)| *a = a.saturating_add(b));
+    fn merge(&mut self, other: &Self) {
+        self.0.as_flattened_mut().iter_mut().zip(other.0.as_flattened()).for_each(|(a, b)| a.merge(*b));
     }
 
     /// As [`Tile`](crate::Tile) resolves its color.
-    fn resolve(&self, is_held: bool) -> LayerPixel {
-        let mean = |half: usize, channel: usize| match self.count[half] {
+    fn resolve(&self, counts: [u32; HALVES], is_held: bool) -> LayerPixel {
+        let mean = |half: usize, channel: usize| match counts[half] {
             0 => 0.0,
-            count => self.color[half][channel].value() / f64::from(count),
+            count => self.0[half][channel].value() / f64::from(count),
         };
-        let (weights, factor) = (weights(self.count, is_held), variance_factor(self.count, is_held));
+        let (weights, factor) = (weights(counts, is_held), variance_factor(counts, is_held));
         let (mut color, mut variance) = ([0.0; 3], [0.0; 3]);
         for channel in 0..3 {
             let [a, b] = [mean(0, channel), mean(1, channel)];
@@ -77,40 +66,47 @@ impl LayerSums {
 
     fn to_bytes(self) -> [u8; SUM_BYTES] {
         let mut bytes = [0; SUM_BYTES];
-        let (wide, narrow) = bytes.split_at_mut(16 * 3 * HALVES);
-        let sums = wide.chunks_exact_mut(16).zip(self.color.as_flattened());
+        let sums = bytes.chunks_exact_mut(16).zip(self.0.as_flattened());
         sums.for_each(|(field, sum)| field.copy_from_slice(&sum.units().to_le_bytes()));
-        let counts = narrow.chunks_exact_mut(4).zip(self.count);
-        counts.for_each(|(field, count)| field.copy_from_slice(&count.to_le_bytes()));
         bytes
     }
 
     fn from_bytes(bytes: &[u8; SUM_BYTES]) -> Self {
         let sum = |at: usize| ExactSum::from_units(u128::from_le_bytes(std::array::from_fn(|i| bytes[16 * at + i])));
-        let count = |half: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[96 + 4 * half + i]));
-        Self {
-            color: std::array::from_fn(|half| std::array::from_fn(|channel| sum(3 * half + channel))),
-            count: std::array::from_fn(count),
-        }
+        Self(std::array::from_fn(|half| std::array::from_fn(|channel| sum(3 * half + channel))))
     }
 }
 
-/// Light of samples of one pixel that layers take together, on its way into their sums.
+/// Light of samples of one pixel, on its way into the sums: see [`BufferedSums`].
 #[derive(Clone, Debug, Default)]
-pub struct LayerLight([BufferedSums<60, 3>; HALVES]);
+pub struct LightBuffer([BufferedSums<60, 3>; HALVES]);
 
-impl LayerLight {
-    /// Adds sample number `index`, of which the layers take `color`, cd/m2: finite and not negative. It is to be counted apart.
+impl LightBuffer {
+    /// Adds light of a sample of this half, cd/m2: finite and not negative.
     #[inline]
-    pub fn add(&mut self, index: u32, color: Rgb) {
-        self.0[half_of(replicate_of(index))].add(color.to_array());
+    pub fn add(&mut self, half: usize, color: Rgb) {
+        self.0[half].add(color.to_array());
     }
 
-    /// The light of all samples that were added since the last time; `None`: there is none.
-    pub fn take(&mut self) -> Option<LayerSums> {
-        let color = self.0.each_mut().map(|half| std::mem::take(half).finish());
-        let sums = LayerSums { color, count: [0; HALVES] };
-        (sums != LayerSums::default()).then_some(sums)
+    /// The light that was added since the last time; `None`: there is none.
+    pub fn take(&mut self) -> Option<LightSums> {
+        let sums = LightSums(std::mem::take(self).0.map(BufferedSums::finish));
+        (sums != LightSums::default()).then_some(sums)
+    }
+}
+
+/// Light that some layers take together, of all pixels of a tile, row by row.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TakenLight {
+    /// The layers, a bit each.
+    pub layers: u64,
+    /// Of each pixel.
+    pub sums: Vec<LightSums>,
+}
+
+impl TakenLight {
+    fn is_lit(&self) -> bool {
+        self.sums.iter().any(|sums| *sums != LightSums::default())
     }
 }
 
@@ -120,24 +116,54 @@ pub struct LayerTile {
     rect: Rect,
     samples: SampleRange,
     layers: u32,
-    /// Layer by layer, row by row.
-    sums: Vec<LayerSums>,
+    /// Good samples of each half that are not held, row by row.
+    counts: Vec<[u32; HALVES]>,
+    /// Ascending by the layers, each set of layers once; those without light are left out.
+    light: Vec<TakenLight>,
 }
 
 impl LayerTile {
-    /// Of sums by pixel, row by row, and in each pixel by layer.
-    /// - errors: they are not so many.
-    pub fn of_pixels(rect: Rect, samples: Range<u32>, layers: u32, sums: &[LayerSums]) -> Result<Self, FilmError> {
+    /// Of the good samples of each half and the light of each pixel, row by row. Sets of layers may come in any order.
+    /// - errors: they are of other pixels, or of other layers.
+    pub fn new(
+        rect: Rect,
+        samples: Range<u32>,
+        layers: u32,
+        counts: Vec<[u32; HALVES]>,
+        light: Vec<TakenLight>,
+    ) -> Result<Self, FilmError> {
         let area = rect.check(MAX_TILE_PIXELS)?.area() as usize;
         let samples = SampleRange::from(samples);
         if samples.is_empty() {
             return Err(FilmError::EmptyRange(samples));
         }
-        if !(1..=MOST).contains(&layers) || sums.len() != area * layers as usize {
+        check(layers)?;
+        if counts.len() != area || light.iter().any(|one| one.sums.len() != area) {
             return Err(FilmError::Corrupt("layers of another number of pixels"));
         }
-        let layer = |layer: usize| sums[layer..].iter().step_by(layers as usize);
-        Ok(Self { rect, samples, layers, sums: (0..layers as usize).flat_map(layer).copied().collect() })
+        if light.iter().any(|one| one.layers == 0 || one.layers > all_of(layers)) {
+            return Err(FilmError::Corrupt("light of other layers"));
+        }
+        let mut tile = Self { rect, samples, layers, counts, light: Vec::new() };
+        tile.take(light);
+        // Where many sets overlap the layers themselves are fewer.
+        if tile.light.len() > layers as usize {
+            for one in std::mem::take(&mut tile.light) {
+                let own = (0..layers).map(|layer| 1 << layer).filter(|layer| one.layers & layer != 0);
+                tile.take(own.map(|layers| TakenLight { layers, sums: one.sums.clone() }));
+            }
+        }
+        Ok(tile)
+    }
+
+    /// Adds light of the same pixels.
+    fn take(&mut self, light: impl IntoIterator<Item = TakenLight>) {
+        for one in light.into_iter().filter(TakenLight::is_lit) {
+            match self.light.binary_search_by_key(&one.layers, |known| known.layers) {
+                Ok(at) => self.light[at].sums.iter_mut().zip(&one.sums).for_each(|(mine, theirs)| mine.merge(theirs)),
+                Err(at) => self.light.insert(at, one),
+            }
+        }
     }
 
     /// The pixels.
@@ -177,7 +203,9 @@ impl LayerTile {
             }
             part.hold(ends)?;
             all.samples.end = part.samples.end;
-            all.sums.iter_mut().zip(&part.sums).for_each(|(mine, theirs)| mine.merge(theirs));
+            let counts = all.counts.as_flattened_mut().iter_mut().zip(part.counts.as_flattened());
+            counts.for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
+            all.take(part.light);
         }
         Ok(all)
     }
@@ -185,38 +213,88 @@ impl LayerTile {
     fn hold(&mut self, ends: Ends) -> Result<(), FilmError> {
         for (half, end) in ends.into_iter().enumerate() {
             if self.samples.start >= end {
-                self.sums.iter_mut().for_each(|sums| (sums.color[half], sums.count[half]) = Default::default());
+                self.counts.iter_mut().for_each(|counts| counts[half] = 0);
+                let sums = self.light.iter_mut().flat_map(|one| &mut one.sums);
+                sums.for_each(|sums| sums.0[half] = Default::default());
             } else if self.samples.end > end {
                 return Err(FilmError::Corrupt("samples on both sides of the end of a half"));
             }
         }
+        let light = std::mem::take(&mut self.light);
+        self.take(light);
         Ok(())
+    }
+
+    /// The pixels of one layer, row by row.
+    fn resolve(&self, layer: u32, is_held: bool) -> impl Iterator<Item = LayerPixel> {
+        let own: Vec<_> = self.light.iter().filter(|one| one.layers >> layer & 1 == 1).collect();
+        self.counts.iter().enumerate().map(move |(at, counts)| {
+            let mut sums = LightSums::default();
+            own.iter().for_each(|one| sums.merge(&one.sums[at]));
+            sums.resolve(*counts, is_held)
+        })
     }
 
     /// The layers as bytes: the same bytes for the same sums.
     pub fn encode(&self) -> Vec<u8> {
         let Rect { x, y, width, height } = self.rect;
-        let head = [self.layers, x, y, width, height, self.samples.start, self.samples.end];
-        finish(with_words(SUMS, head), &to_planes(&self.sums, |sums| sums.to_bytes()))
+        let head = [self.layers, x, y, width, height, self.samples.start, self.samples.end, self.light.len() as u32];
+        let mut out = with_words(SUMS, SUMS_VERSION, head);
+        self.light.iter().for_each(|one| out.extend_from_slice(&one.layers.to_le_bytes()));
+        let mut planes = to_planes(&self.counts, |counts| counts_to_bytes(*counts));
+        self.light.iter().for_each(|one| planes.extend(to_planes(&one.sums, |sums| sums.to_bytes())));
+        finish(out, &planes)
     }
 
     /// The layers from their bytes; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(SUMS, VERSION, bytes)?;
+        let mut reader = open(SUMS, SUMS_VERSION, bytes)?;
         let [layers] = reader.words()?;
+        check(layers)?;
         let [x, y, width, height] = reader.words()?;
         let rect = Rect { x, y, width, height }.check(MAX_TILE_PIXELS)?;
         let samples = reader.range()?;
-        let sums: Vec<LayerSums> = reader.planes(check(layers)? * rect.area() as usize, LayerSums::from_bytes)?;
-        if sums.iter().any(|sums| sums.count.iter().fold(0u64, |n, &it| n + u64::from(it)) > u64::from(samples.len())) {
+        let [sets] = reader.words()?;
+        if sets > layers {
+            return Err(FilmError::Corrupt("more sets of layers than layers"));
+        }
+        let sets = (0..sets).map(|_| reader.long()).collect::<Result<Vec<_>, _>>()?;
+        if !sets.is_sorted_by(|a, b| a < b) || sets.iter().any(|&set| set == 0 || set > all_of(layers)) {
+            return Err(FilmError::Corrupt("light of other layers"));
+        }
+        let area = rect.area() as usize;
+        let planes = reader.plain(area * (COUNT_BYTES + sets.len() * SUM_BYTES))?;
+        let (counts, planes) = planes.split_at(area * COUNT_BYTES);
+        let counts = from_planes(counts, area, counts_from_bytes);
+        if counts.iter().any(|counts| counts.iter().map(|&it| u64::from(it)).sum::<u64>() > u64::from(samples.len())) {
             return Err(FilmError::Corrupt("more samples than its ranges hold"));
         }
-        Ok(Self { rect, samples, layers, sums })
+        let sums = planes.chunks_exact(area * SUM_BYTES).map(|planes| from_planes(planes, area, LightSums::from_bytes));
+        let light: Vec<_> = sets.into_iter().zip(sums).map(|(layers, sums)| TakenLight { layers, sums }).collect();
+        if light.iter().any(|one| !one.is_lit()) {
+            return Err(FilmError::Corrupt("layers without light"));
+        }
+        Ok(Self { rect, samples, layers, counts, light })
     }
 }
 
-fn with_words<const N: usize>(magic: &[u8; 8], words: [u32; N]) -> Vec<u8> {
-    let mut out = begin(magic, VERSION);
+/// All layers, a bit each.
+fn all_of(layers: u32) -> u64 {
+    u64::MAX >> (MOST - layers)
+}
+
+fn counts_to_bytes(counts: [u32; HALVES]) -> [u8; COUNT_BYTES] {
+    let mut bytes = [0; COUNT_BYTES];
+    bytes.chunks_exact_mut(4).zip(counts).for_each(|(field, count)| field.copy_from_slice(&count.to_le_bytes()));
+    bytes
+}
+
+fn counts_from_bytes(bytes: &[u8; COUNT_BYTES]) -> [u32; HALVES] {
+    std::array::from_fn(|half| u32::from_le_bytes(std::array::from_fn(|i| bytes[4 * half + i])))
+}
+
+fn with_words<const N: usize>(magic: &[u8; 8], version: u32, words: [u32; N]) -> Vec<u8> {
+    let mut out = begin(magic, version);
     words.into_iter().for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
     out
 }
@@ -276,7 +354,7 @@ impl LayerPiece {
         self.layers = tile.layers;
         self.tiles.end += 1;
         self.samples.push(tile.samples);
-        self.pixels.extend(tile.sums.iter().map(|sums| sums.resolve(ends != OPEN)));
+        self.pixels.extend((0..tile.layers).flat_map(|layer| tile.resolve(layer, ends != OPEN)));
         Ok(())
     }
 
@@ -299,7 +377,7 @@ impl LayerPiece {
     pub fn encode(&self) -> Vec<u8> {
         let Tiling { width, height, edge } = self.tiling;
         let [start, end] = [self.tiles.start, self.tiles.end].map(|tile| tile as u32);
-        let mut out = with_words(PIXELS, [self.layers, width, height, edge, start, end]);
+        let mut out = with_words(PIXELS, PIXELS_VERSION, [self.layers, width, height, edge, start, end]);
         let bounds = self.samples.iter().flat_map(|range| [range.start, range.end]);
         bounds.for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
         finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
@@ -307,12 +385,15 @@ impl LayerPiece {
 
     /// The tiles from their bytes; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(PIXELS, VERSION, bytes)?;
+        let mut reader = open(PIXELS, PIXELS_VERSION, bytes)?;
         let [layers] = reader.words()?;
         let count = check(layers)?;
         let (tiling, tiles) = reader.tiles()?;
         let samples = tiles.clone().map(|_| reader.range()).collect::<Result<Vec<_>, _>>()?;
         let area: u64 = tiles.clone().filter_map(|tile| tiling.rect(tile)).map(|rect| rect.area()).sum();
+        if area > MAX_TILE_PIXELS {
+            return Err(FilmError::Corrupt("more pixels than a group of tiles has"));
+        }
         let pixels = reader.planes(count * area as usize, LayerPixel::from_bytes)?;
         Ok(Self { tiling, tiles, layers, samples, pixels })
     }

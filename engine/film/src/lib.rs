@@ -38,7 +38,7 @@ pub use features::{BesidePiece, BesideTile, FeatureImage, FeatureLayout, Feature
 pub use filter::Filter;
 pub use frame::{Frame, Inserted};
 pub use image::{FrameImage, Image, pixel_digest};
-pub use layers::{LayerImage, LayerLight, LayerPiece, LayerSums, LayerTile};
+pub use layers::{LayerImage, LayerPiece, LayerTile, LightBuffer, LightSums, TakenLight};
 pub use metrics::{Comparison, compare};
 pub use picture::{Picture, contact_sheet};
 pub use piece::Piece;

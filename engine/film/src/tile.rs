@@ -31,7 +31,7 @@ pub(crate) const ALBEDO_FRACTION: u32 = 24;
 pub const HALVES: usize = 2;
 
 /// The half of a replicate: replicates take turns, so that the halves do, too.
-pub(crate) const fn half_of(replicate: usize) -> usize {
+pub const fn half_of(replicate: usize) -> usize {
     replicate % HALVES
 }
 

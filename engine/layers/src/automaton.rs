@@ -20,6 +20,23 @@ pub const DEAD: State = 0;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Labels(u32);
 
+impl Labels {
+    /// An event of a kind at something that has these labels.
+    #[inline]
+    pub fn event(self, kind: Kind) -> Symbol {
+        Symbol(self.0 + kind as u32)
+    }
+}
+
+/// An event at something that has a set of labels. A path that has left the camera stays in its state at another [`Kind::Camera`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Symbol(u32);
+
+impl Symbol {
+    /// No event: every state stays.
+    pub const NONE: Self = Self(Kind::Camera as u32);
+}
+
 /// Number of a set of layers that take paths together; [`NO_LAYERS`] is the empty one.
 pub type Takers = u16;
 
@@ -42,7 +59,7 @@ pub struct Automaton {
     next: Vec<State>,
     /// Entries of a state.
     columns: usize,
-    /// By state: the layers that take a path which ends there.
+    /// By state and symbol: the layers that take a path which ends with that event after this state.
     takers: Vec<Takers>,
     /// By their number: a bit for each layer.
     layers: Vec<u64>,
@@ -76,7 +93,7 @@ impl Automaton {
 
     /// Number of states.
     pub fn states(&self) -> usize {
-        self.takers.len()
+        self.takers.len() / self.columns
     }
 
     /// The state of a path that has left the camera.
@@ -89,16 +106,16 @@ impl Automaton {
         self.sets.binary_search(&set).ok().map(|at| Labels((at * COLUMNS) as u32))
     }
 
-    /// The state after an event of `kind` at something that has these labels. A second camera makes every path dead.
+    /// The state after an event.
     #[inline]
-    pub fn next(&self, state: State, kind: Kind, labels: Labels) -> State {
-        self.next[usize::from(state) * self.columns + labels.0 as usize + kind as usize]
+    pub fn next(&self, state: State, event: Symbol) -> State {
+        self.next[usize::from(state) * self.columns + event.0 as usize]
     }
 
-    /// The layers that take a path which ends in this state.
+    /// The layers that take a path which ends with this event after a state.
     #[inline]
-    pub fn takers(&self, state: State) -> Takers {
-        self.takers[usize::from(state)]
+    pub fn takers(&self, state: State, event: Symbol) -> Takers {
+        self.takers[usize::from(state) * self.columns + event.0 as usize]
     }
 
     /// By [`Takers`]: the layers, a bit each.
@@ -270,7 +287,7 @@ impl Subsets {
         let (mut table, mut at) = (Vec::new(), 0);
         while let Some(&state) = order.get(at) {
             for set in row(state).chunks(KINDS) {
-                table.push(DEAD);
+                table.push(at as State);
                 table.extend(set.iter().map(|&to| visit(to, &mut order)));
             }
             at += 1;
@@ -280,7 +297,7 @@ impl Subsets {
         let takers = numbered(std::iter::once(0).chain(accepted.iter().copied()));
         let mut layers = vec![0; takers.iter().max().map_or(0, |most| *most as usize + 1)];
         takers.iter().skip(1).zip(accepted).for_each(|(&taker, accepted)| layers[taker as usize] = accepted);
-        let takers = takers.into_iter().skip(1).map(|taker| taker as Takers).collect();
+        let takers = table.iter().map(|&to| takers[1 + usize::from(to)] as Takers).collect();
         let columns = sets.len() * COLUMNS;
         Automaton { sets, next: table, columns, takers, layers, start }
     }

@@ -17,7 +17,7 @@ mod feature;
 mod layer;
 mod preset;
 
-pub use automaton::{Automaton, DEAD, Labels, NO_LAYERS, State, Takers};
+pub use automaton::{Automaton, DEAD, Labels, NO_LAYERS, State, Symbol, Takers};
 pub use error::{ExpressionError, LayerError};
 pub use event::{Event, Kind, LabelSet, Vocabulary};
 pub use expression::{Expression, Node};

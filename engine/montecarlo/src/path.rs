@@ -334,14 +334,16 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 let stretch = Segment { origin, dir, time, inside: &inside, bounce: segment, base };
                 let color = throughput * fog.glow(&stretch, &mut stream);
                 out.color += color;
-                tell!(self.light(|| Contribution {
-                    color,
-                    throughput,
-                    bounce: segment,
-                    found: Found::Glow(fog.glowing()),
-                    light: None,
-                    position: ray.origin,
-                }));
+                if color != Rgb::ZERO {
+                    tell!(self.light(|| Contribution {
+                        color,
+                        throughput,
+                        bounce: segment,
+                        found: Found::Glow(fog.glowing()),
+                        light: None,
+                        position: ray.origin,
+                    }));
+                }
                 if may_scatter {
                     fog.weigh(&stretch);
                     if let Some(scattered) = fog.airlight(&stretch, &mut stream) {
@@ -354,14 +356,16 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         }
                         let color = throughput * scattered.color;
                         out.color += color;
-                        tell!(self.light(|| Contribution {
-                            color,
-                            throughput,
-                            bounce: segment,
-                            found: Found::Airlight(fog.medium_of(&scattered.event)),
-                            light: Some(scattered.light),
-                            position: ray.origin + ray.dir * scattered.event.t,
-                        }));
+                        if R::DARK || color != Rgb::ZERO {
+                            tell!(self.light(|| Contribution {
+                                color,
+                                throughput,
+                                bounce: segment,
+                                found: Found::Airlight(fog.medium_of(&scattered.event)),
+                                light: Some(scattered.light),
+                                position: ray.origin + ray.dir * scattered.event.t,
+                            }));
+                        }
                     }
                 }
                 match fog.collide(&stretch, &mut stream) {
@@ -484,14 +488,16 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                             &mut stream,
                         );
                     out.color += color;
-                    tell!(self.light(|| Contribution {
-                        color,
-                        throughput,
-                        bounce: segment,
-                        found: Found::Surface,
-                        light: Some(chosen.0),
-                        position: point.position,
-                    }));
+                    if R::DARK || color != Rgb::ZERO {
+                        tell!(self.light(|| Contribution {
+                            color,
+                            throughput,
+                            bounce: segment,
+                            found: Found::Surface,
+                            light: Some(chosen.0),
+                            position: point.position,
+                        }));
+                    }
                 }
             }
             let rest;

@@ -24,6 +24,8 @@ pub enum Hears {
 pub trait Recorder {
     /// Whether it wants to hear what hides light ([`Self::hidden`]): to find that out takes work.
     const HIDDEN: bool = true;
+    /// Whether it wants to hear of light that was drawn and adds nothing: it is hidden, or on a side that scatters none.
+    const DARK: bool = true;
     /// Whether it wants to hear of camera rays ([`Self::camera`]).
     const CAMERA: bool = false;
 
@@ -162,13 +164,16 @@ pub enum Lobes {
 }
 
 impl Split {
-    /// Of light from `wi` to `wo`, unit, local frame: by the side that it comes from and by the lobes' shares of the BSDF's value there,
-    /// whatever drew the direction.
+    /// Of light from `wi` to `wo`, unit, local frame, some of which is scattered: by the side that it comes from and by the lobes' shares of the
+    /// BSDF's value there, whatever drew the direction.
     #[inline]
     pub(crate) fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
+        // The most frequent by far: it scatters to one side alone.
+        if matches!(bsdf, Bsdf::Diffuse(_)) {
+            return Self { transmitted: Transmitted::No, lobes: Lobes::Diffuse };
+        }
         let transmitted = if wo.z * wi.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
-        let lobes = if matches!(bsdf, Bsdf::Diffuse(_)) { Lobes::Diffuse } else { Lobes::of(bsdf, wo, wi) };
-        Self { transmitted, lobes }
+        Self { transmitted, lobes: Lobes::of(bsdf, wo, wi) }
     }
 }
 
@@ -308,6 +313,7 @@ impl<A, B> Both<A, B> {
 
 impl<A: Recorder, B: Recorder> Recorder for Both<A, B> {
     const HIDDEN: bool = A::HIDDEN || B::HIDDEN;
+    const DARK: bool = A::DARK || B::DARK;
     const CAMERA: bool = A::CAMERA || B::CAMERA;
 
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears {

@@ -8,8 +8,8 @@ use bytes::Bytes;
 use femc_field::{FogCell, FogTree, Line};
 use femc_film::tile::OPEN;
 use femc_film::{
-    BesidePiece, BesideTile, Errors, FeatureLayout, FeatureSums, FeatureTile, Frame, LayerSums, LayerTile, Levels,
-    Piece, Rect, Sample, Tile, Tiling,
+    BesidePiece, BesideTile, Errors, FeatureLayout, FeatureSums, FeatureTile, Frame, LayerPiece, LayerTile, Levels,
+    LightBuffer, Piece, Rect, Sample, TakenLight, Tile, Tiling,
 };
 use femc_geometry::Hit;
 use femc_import::Bundle;
@@ -23,8 +23,8 @@ use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{Frames, Statistics};
 use femc_pipeline::radiosity::Options;
 use femc_pipeline::{
-    Field, Found, Prepared, Settings, Side, Sights, Source, StatisticsPlan, Stop, Underway, encode_solution,
-    first_pass as first_pass_of, prepare_world, render_with_statistics,
+    Field, Found, Layer, LayerPlan, Prepared, Preset, Settings, Side, Sights, Source, StatisticsPlan, Stop, Underway,
+    encode_solution, first_pass as first_pass_of, prepare_world, render_with_layers, render_with_statistics,
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
 use femc_worker::{Parcel, decode_sums, testing};
@@ -37,6 +37,7 @@ const LIMIT: u64 = 1 << 20;
 pub(super) fn targets() -> Vec<Target> {
     let mut all = scenes();
     all.extend(film());
+    all.extend(layers());
     all.extend(beside());
     all.extend(first_pass());
     all.extend(paths());
@@ -174,12 +175,80 @@ fn film() -> Vec<Target> {
     ]
 }
 
+/// Layers of a tile of a foggy floor: their sums, what is resolved of them, and how they are asked for.
+fn layers() -> Vec<Target> {
+    let asked: Vec<Layer> = [Preset::Guides, Preset::Direct, Preset::Fog]
+        .into_iter()
+        .flat_map(|preset| preset.layers([]).expect("layers without lamps"))
+        .chain([Layer::new("floor", "C<RD'floor'>[^D]*(<L.['lamp''lamp/lamp']>|O)?")])
+        .collect();
+    let settings = Settings { stop: Stop::Spp(3), layers: asked.clone(), ..Settings::default() };
+    let prepared = prepare_world(&Source::new(crate::scene(FLOOR)), &settings, 1, None).expect("a frame");
+    let (plan, rect) = (LayerPlan::of(&prepared, &settings).expect("a plan"), Rect { x: 4, y: 0, width: 4, height: 4 });
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let tile = render_with_layers(&prepared, &settings, &plan, None, rect, 0..3, &cancel, &progress).expect("a tile").1;
+    let tiling = Tiling::new(8, 4, 4).expect("a tiling");
+    let mut piece = LayerPiece::new(tiling, 1);
+    piece.put(&tile, OPEN).expect("its place");
+    let (tile, piece) = (tile.encode(), piece.encode());
+    let is_tile = move |bytes: &[u8]| {
+        let Ok(tile) = LayerTile::decode(bytes) else { return false };
+        // What is accepted is one again, is united with itself, and resolved.
+        assert!(LayerTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
+        let twice = LayerTile::united(vec![tile.clone(), tile.clone()], 0, OPEN);
+        assert!(twice.is_ok_and(|twice| twice == tile));
+        let _ = LayerPiece::new(tiling, 1).put(&tile, OPEN);
+        true
+    };
+    let is_piece = |bytes: &[u8]| {
+        let Ok(piece) = LayerPiece::decode(bytes) else { return false };
+        let encoded = piece.encode();
+        assert!(LayerPiece::decode(&encoded).is_ok_and(|again| again.encode() == encoded));
+        true
+    };
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let written = asked.iter().map(|layer| format!("{}={}", layer.name, layer.expression).into_bytes());
+    let written_settings = serde_json::to_vec(&settings).expect("they are written");
+    let mut all = vec![
+        Target::of("layer", written.collect(), move |bytes| text(bytes).parse::<Layer>().is_ok()),
+        Target::of("layers of settings", vec![written_settings], |bytes| {
+            let settings = serde_json::from_slice::<Settings>(bytes);
+            settings.is_ok_and(|settings| settings.layers.iter().all(|layer| layer.parse().is_ok()))
+        }),
+    ];
+    all.extend(planes(["layer tile", "layer tile, header", "layer tile, inside"], tile, is_tile));
+    all.extend(planes(["layer piece", "layer piece, header", "layer piece, inside"], piece, is_piece));
+    all
+}
+
+/// Bytes that end with a compressed frame: as they are, with the checksum made right again, and with other contents of the frame.
+fn planes(
+    [bytes, header, inside]: [&'static str; 3],
+    encoded: Vec<u8>,
+    decode: impl Fn(&[u8]) -> bool + Copy + 'static,
+) -> Vec<Target> {
+    let frame = encoded.windows(4).position(|at| at == ZSTD).expect("a frame");
+    let (front, planes) = (encoded[..frame].to_vec(), zstd::bulk::decompress(&encoded[frame..], 1 << 26));
+    let dress = move |planes: &[u8]| {
+        let compressed = zstd::bulk::compress(planes, 1).expect("it compresses");
+        sealed(&[&front[..], &compressed].concat())
+    };
+    vec![
+        Target::of(bytes, vec![encoded.clone()], decode),
+        Target::dressed(header, vec![encoded], sealed, decode),
+        Target::dressed(inside, vec![planes.expect("what was compressed")], dress, decode),
+    ]
+}
+
+/// What a frame of zstd begins with.
+const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
 /// Layers and features of a tile, and both of several.
 fn beside() -> Vec<Target> {
     let (tiling, rect) = (Tiling::new(4, 3, 8).expect("a tiling"), Rect { x: 0, y: 0, width: 4, height: 3 });
-    let (mut light, mut features) = (LayerSums::default(), FeatureSums::new(FeatureLayout { values: 2, ids: 2 }));
+    let (mut light, mut features) = (LightBuffer::default(), FeatureSums::new(FeatureLayout { values: 2, ids: 2 }));
     light.add(1, Rgb::new(1.0, 2.0, 0.5));
-    light.count(1);
+    let light = TakenLight { layers: 1, sums: vec![light.take().expect("light"); 12] };
     for pixel in 0..12 {
         features.begin_pixel();
         features.add(None);
@@ -187,14 +256,12 @@ fn beside() -> Vec<Target> {
         features.add(Some((&[0.5, 3.0], &[7, 0x3f00_0000])));
     }
     let tile = BesideTile {
-        light: Some(LayerTile::of_pixels(rect, 0..4, 1, &[light; 12]).expect("layers")),
+        light: Some(LayerTile::new(rect, 0..4, 1, vec![[0, 1]; 12], vec![light]).expect("layers")),
         features: Some(FeatureTile::new(rect, 0..4, features).expect("features")),
     };
     let mut piece = BesidePiece::new(tiling, 0);
     piece.put(&tile, OPEN).expect("the first tile");
-    let [layers, features] =
-        [tile.light.as_ref().map(LayerTile::encode), tile.features.as_ref().map(FeatureTile::encode)]
-            .map(|bytes| bytes.expect("it is there"));
+    let features = tile.features.as_ref().map(FeatureTile::encode).expect("they are there");
     // Behind the header of features: magic, version, checksum, eight words, and one for each kind of ids.
     let (front, planes) = features.split_at(28 + 10 * 4);
     let (front, planes) = (front.to_vec(), zstd::bulk::decompress(planes, 1 << 16).expect("what was compressed"));
@@ -215,8 +282,6 @@ fn beside() -> Vec<Target> {
     };
     let is_piece = |bytes: &[u8]| BesidePiece::decode(bytes).is_ok();
     vec![
-        Target::of("layers", vec![layers.clone()], |bytes| LayerTile::decode(bytes).is_ok()),
-        Target::dressed("layers, inside", vec![layers], sealed, |bytes| LayerTile::decode(bytes).is_ok()),
         Target::dressed("features, inside", vec![features], sealed, are_features),
         Target::dressed("features, sums", vec![planes], dress, are_features),
         Target::of("beside", vec![tile.encode()], is_tile),
@@ -325,6 +390,12 @@ fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
     ]
 }
 
+/// A foggy floor under a lamp.
+const FLOOR: &str = "camera main =\n  origin .5 .5 2\n  target .5 .5 0\n  up 0 1 0\n  fov 60\n  film 8 4\n\
+    medium air =\n  sigma_s .2\nmbox air 0 0 0 1 1 3\n\
+    m lamp =\n  ed 100\nv l =\n  p .5 .5 1.5\no lamp\nsph l .05\no\n\
+    m wall =\n  rd .5\nv a =\n  p 0 0 0\nv b =\n  p 1 0 0\nv c =\n  p 1 1 0\nv d =\n  p 0 1 0\no floor\nf a b c d\no\n";
+
 /// Light statistics of a tile of a foggy floor under a lamp: those of recorded samples, those of all, and of two frames.
 fn paths() -> Vec<Target> {
     let some = statistics(1, false);
@@ -357,12 +428,8 @@ fn paths() -> Vec<Target> {
 }
 
 fn statistics(frame: u32, full_statistics: bool) -> Statistics {
-    let text = "camera main =\n  origin .5 .5 2\n  target .5 .5 0\n  up 0 1 0\n  fov 60\n  film 8 4\n\
-        medium air =\n  sigma_s .2\nmbox air 0 0 0 1 1 3\n\
-        m lamp =\n  ed 100\nv l =\n  p .5 .5 1.5\no lamp\nsph l .05\no\n\
-        m wall =\n  rd .5\nv a =\n  p 0 0 0\nv b =\n  p 1 0 0\nv c =\n  p 1 1 0\nv d =\n  p 0 1 0\no floor\nf a b c d\no\n";
     let settings = Settings { stop: Stop::Spp(3), full_statistics, ..Settings::default() };
-    let prepared = prepare_world(&Source::new(crate::scene(text)), &settings, frame, None).expect("a frame");
+    let prepared = prepare_world(&Source::new(crate::scene(FLOOR)), &settings, frame, None).expect("a frame");
     let (plan, rect) = (StatisticsPlan::of(&prepared, &settings, 4), Rect { x: 4, y: 0, width: 4, height: 4 });
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let rendered = render_with_statistics(&prepared, &settings, &plan, rect, 0..3, &cancel, &progress);

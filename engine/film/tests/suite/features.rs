@@ -1,12 +1,13 @@
 //! Features: sums in any parts, means and shares, bytes.
 
 use femc_film::features::RANKS;
-use femc_film::tile::OPEN;
+use femc_film::tile::{OPEN, half_of};
 use femc_film::{
-    BesidePiece, BesideTile, FeatureImage, FeatureLayout, FeatureSums, FeatureTile, FilmError, LayerSums, LayerTile,
-    Rect, Tiling,
+    BesidePiece, BesideTile, FeatureImage, FeatureLayout, FeatureSums, FeatureTile, FilmError, LayerTile, LightBuffer,
+    Rect, TakenLight, Tiling,
 };
 use femc_math::Rgb;
+use femc_math::sampler::replicate_of;
 use std::ops::Range;
 
 const RECT: Rect = Rect { x: 0, y: 0, width: 5, height: 3 };
@@ -38,12 +39,13 @@ fn tile(samples: Range<u32>) -> FeatureTile {
 }
 
 fn light(samples: Range<u32>) -> LayerTile {
-    let mut sums = LayerSums::default();
-    for sample in samples.clone() {
-        sums.add(sample, Rgb::ONE);
-        sums.count(sample);
+    let (mut light, mut counts) = (LightBuffer::default(), [0; 2]);
+    for half in samples.clone().map(|sample| half_of(replicate_of(sample))) {
+        light.add(half, Rgb::ONE);
+        counts[half] += 1;
     }
-    LayerTile::of_pixels(RECT, samples, 1, &[sums; 15]).unwrap()
+    let light = TakenLight { layers: 1, sums: vec![light.take().unwrap(); 15] };
+    LayerTile::new(RECT, samples, 1, vec![counts; 15], vec![light]).unwrap()
 }
 
 fn both(samples: Range<u32>) -> BesideTile {

@@ -1,9 +1,11 @@
 //! Layers of tiles: united in any parts they are the same, they are held as pictures are, and damage of any kind is an error.
 
-use femc_film::tile::OPEN;
+use femc_film::tile::{OPEN, half_of};
 use femc_film::{
-    FilmError, Frame, LayerImage, LayerLight, LayerPiece, LayerSums, LayerTile, Rect, Sample, SampleRange, Tile, Tiling,
+    FilmError, Frame, LayerImage, LayerPiece, LayerTile, LightBuffer, LightSums, Rect, Sample, SampleRange, TakenLight,
+    Tile, Tiling,
 };
+use femc_math::sampler::replicate_of;
 use femc_math::{Rgb, hash};
 use proptest::prelude::*;
 
@@ -21,22 +23,27 @@ fn light(x: u32, y: u32, sample: u32) -> [Rgb; LAYERS] {
     })
 }
 
-fn summed(mut counts: LayerSums, light: &mut LayerLight) -> LayerSums {
-    counts.merge(&light.take().unwrap_or_default());
-    counts
+fn half(sample: u32) -> usize {
+    half_of(replicate_of(sample))
+}
+
+fn counts(rect: Rect, samples: std::ops::Range<u32>) -> Vec<[u32; 2]> {
+    let mut counts = [0; 2];
+    samples.for_each(|sample| counts[half(sample)] += 1);
+    vec![counts; rect.area() as usize]
 }
 
 fn layers(rect: Rect, samples: std::ops::Range<u32>) -> LayerTile {
-    let mut sums = Vec::new();
+    let mut sums = vec![Vec::new(); LAYERS];
     for (x, y) in rect.pixels() {
-        let (mut counts, mut all) = (LayerSums::default(), [(); LAYERS].map(|()| LayerLight::default()));
+        let mut all = [(); LAYERS].map(|()| LightBuffer::default());
         for sample in samples.clone() {
-            counts.count(sample);
-            all.iter_mut().zip(light(x, y, sample)).for_each(|(light, color)| light.add(sample, color));
+            all.iter_mut().zip(light(x, y, sample)).for_each(|(light, color)| light.add(half(sample), color));
         }
-        sums.extend(all.map(|mut light| summed(counts, &mut light)));
+        all.iter_mut().zip(&mut sums).for_each(|(light, sums)| sums.push(light.take().unwrap_or_default()));
     }
-    LayerTile::of_pixels(rect, samples, LAYERS as u32, &sums).unwrap()
+    let light = sums.into_iter().enumerate().map(|(layer, sums)| TakenLight { layers: 1 << layer, sums }).collect();
+    LayerTile::new(rect, samples.clone(), LAYERS as u32, counts(rect, samples), light).unwrap()
 }
 
 /// The frame whose samples have the light of all layers.
@@ -101,19 +108,19 @@ fn a_single_layer_of_all_light_has_the_variance_of_the_picture() {
     let rect = tiling().rect(1).unwrap();
     let (mut tile, mut sums) = (Tile::new(rect, 0..8).unwrap(), Vec::new());
     for (x, y) in rect.pixels() {
-        let (mut counts, mut all) = (LayerSums::default(), LayerLight::default());
+        let mut all = LightBuffer::default();
         for sample in 0..8 {
             let color = light(x, y, sample)[0];
             tile.add(x, y, sample, &Sample { color, albedo: Rgb::ZERO, depth: 1.0 });
-            counts.count(sample);
-            all.add(sample, color);
+            all.add(half(sample), color);
         }
-        sums.push(summed(counts, &mut all));
+        sums.push(all.take().unwrap_or_default());
     }
     let mut frame = Frame::new(tiling());
     frame.insert(tile).unwrap();
     let mut piece = LayerPiece::new(tiling(), 1);
-    piece.put(&LayerTile::of_pixels(rect, 0..8, 1, &sums).unwrap(), OPEN).unwrap();
+    let light = vec![TakenLight { layers: 1, sums }];
+    piece.put(&LayerTile::new(rect, 0..8, 1, counts(rect, 0..8), light).unwrap(), OPEN).unwrap();
     let mut images = LayerImage::black(["all".to_owned()], 20, 12);
     LayerImage::put(&mut images, &piece).unwrap();
     let image = frame.resolve();
@@ -136,8 +143,51 @@ fn parts_that_do_not_fit_together_are_refused() {
     piece.put(&layers(first, 0..4), OPEN).unwrap();
     let mut other = LayerImage::black(["one".to_owned()], 20, 12);
     assert!(LayerImage::put(&mut other, &piece).is_err());
-    assert!(LayerTile::of_pixels(first, 0..0, 1, &[]).is_err());
-    assert!(LayerTile::of_pixels(first, 0..1, 1, &[LayerSums::default()]).is_err());
+    let light = |layers, pixels| vec![TakenLight { layers, sums: vec![LightSums::default(); pixels] }];
+    let of = |samples, layers, light| LayerTile::new(first, samples, layers, counts(first, 0..1), light);
+    assert!(of(0..1, 2, light(0b11, 64)).is_ok());
+    assert!(matches!(of(0..0, 2, vec![]), Err(FilmError::EmptyRange(_))));
+    for (layers, light) in [(0, vec![]), (65, vec![]), (2, light(1, 63)), (2, light(0, 64)), (2, light(0b100, 64))] {
+        assert!(matches!(of(0..1, layers, light), Err(FilmError::Corrupt(_))));
+    }
+    assert!(LayerTile::new(first, 0..1, 2, vec![[1, 0]], vec![]).is_err());
+}
+
+/// One sample of `value` in the first pixel.
+fn lit(layers: u64, value: f32) -> TakenLight {
+    let mut light = LightBuffer::default();
+    light.add(0, Rgb::splat(value));
+    let mut sums = vec![LightSums::default(); 64];
+    sums[0] = light.take().unwrap_or_default();
+    TakenLight { layers, sums }
+}
+
+#[test]
+fn light_that_layers_take_together_counts_in_each_of_them_however_the_sets_overlap() {
+    let rect = tiling().rect(0).unwrap();
+    let colors = |tile: &LayerTile| -> Vec<f32> {
+        let mut piece = LayerPiece::new(tiling(), 0);
+        piece.put(&LayerTile::decode(&tile.encode()).unwrap(), OPEN).unwrap();
+        let mut images = LayerImage::black((0..3).map(|layer| format!("layer{layer}")), 20, 12);
+        LayerImage::put(&mut images, &piece).unwrap();
+        images.iter().map(|image| image.color[0][0]).collect()
+    };
+    let tile =
+        |samples: std::ops::Range<u32>, light| LayerTile::new(rect, samples, 3, vec![[1, 0]; 64], light).unwrap();
+    // A set that comes twice, one in another order, one without light.
+    let some = tile(0..1, vec![lit(0b110, 1.0), lit(0b011, 2.0), lit(0b110, 4.0), lit(0b100, 0.0)]);
+    assert_eq!(colors(&some), [2.0, 7.0, 5.0]);
+    assert_eq!(some, tile(0..1, vec![lit(0b011, 2.0), lit(0b110, 5.0)]));
+    // More sets than layers.
+    let many = tile(0..1, vec![lit(0b001, 1.0), lit(0b010, 2.0), lit(0b011, 4.0), lit(0b110, 8.0), lit(0b111, 16.0)]);
+    assert_eq!(colors(&many), [21.0, 30.0, 24.0]);
+    let other = tile(1..2, vec![lit(0b110, 3.0)]);
+    for parts in [vec![some.clone(), other.clone()], vec![other.clone(), some.clone()]] {
+        // The mean of two samples.
+        assert_eq!(colors(&LayerTile::united(parts, 0, OPEN).unwrap()), [1.0, 5.0, 4.0]);
+    }
+    // A half that is held has no light, and a set without light is none.
+    assert_eq!(colors(&LayerTile::united(vec![some], 0, [0, 1]).unwrap()), [0.0; 3]);
 }
 
 proptest! {

@@ -133,6 +133,7 @@ impl<'a> FeatureRecorder<'a> {
 
 impl Recorder for FeatureRecorder<'_> {
     const HIDDEN: bool = false;
+    const DARK: bool = false;
     const CAMERA: bool = true;
 
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears {

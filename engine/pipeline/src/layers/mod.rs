@@ -18,13 +18,14 @@ pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;
 use crate::statistics::{StatisticsPlan, render_with_statistics_and};
-use femc_film::{FilmError, LayerSums, LayerTile, Rect};
+use femc_film::tile::HALVES;
+use femc_film::{FilmError, LayerTile, LightSums, Rect, TakenLight};
 use femc_layers::{Automaton, LabelSet, Labels, Layer, LayerError, Vocabulary, parse_all};
 use femc_montecarlo::Recorder;
 use femc_paths::Statistics;
 use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId, Scene};
-use recorder::LayerRecorder;
+use recorder::{LayerRecorder, Pixels};
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -98,8 +99,9 @@ impl LayerPlan {
 
     /// The layers of a tile, which these recorders have heard of in order.
     fn tile(&self, rect: Rect, samples: Range<u32>, recorders: Vec<LayerRecorder<'_>>) -> Result<LayerTile, FilmError> {
-        let sums: Vec<LayerSums> = recorders.into_iter().flat_map(LayerRecorder::into_sums).collect();
-        LayerTile::of_pixels(rect, samples, self.count as u32, &sums)
+        let runs = recorders.into_iter().map(LayerRecorder::finish).collect();
+        let (counts, light) = united(runs, &self.automaton);
+        LayerTile::new(rect, samples, self.count as u32, counts, light)
     }
 
     #[inline]
@@ -220,4 +222,23 @@ fn recorded<R: Recorder + Send>(
             Ok((rendered, all, Some(statistics)))
         }
     }
+}
+
+/// Pixels of several runs of rows, one after the other.
+fn united(runs: Vec<Pixels>, automaton: &Automaton) -> (Vec<[u32; HALVES]>, Vec<TakenLight>) {
+    let (mut counts, mut light) = (Vec::new(), vec![Vec::new(); automaton.layers().len()]);
+    for run in runs {
+        for (all, own) in light.iter_mut().zip(run.light).filter(|(_, own)| !own.is_empty()) {
+            all.resize(counts.len(), LightSums::default());
+            all.extend(own);
+        }
+        counts.extend(run.count);
+    }
+    let pixels = counts.len();
+    let lit = light.into_iter().zip(automaton.layers()).filter(|(sums, _)| !sums.is_empty());
+    let light = lit.map(|(mut sums, &layers)| {
+        sums.resize(pixels, LightSums::default());
+        TakenLight { layers, sums }
+    });
+    (counts, light.collect())
 }

@@ -1,16 +1,18 @@
 //! Hears of samples while they are rendered, and adds their light to the layers that take it.
 //!
-//! Light is added up by the set of layers that take it together ([`Takers`]), of which the expressions of a frame have few, and each
-//! layer gets the sums of its sets when a pixel is done. So the cost of a sample hardly depends on the number of layers.
+//! While a path is traced its events and its light are noted, no more; when the film has taken the sample the automaton goes over the notes. So
+//! the path loop calls nothing, and what the film refuses counts in no layer.
 //!
-//! A path stands in one state of the automaton as long as no surface has scattered it both diffusely and about a direction: the cheap case,
-//! apart from the others.
+//! Light is added up by the set of layers that take it together ([`Takers`]), of which the expressions of a frame have few. So a sample
+//! of many layers costs hardly more than one of few.
 
 use super::LayerPlan;
-use femc_film::{LayerLight, LayerSums};
+use femc_film::tile::{HALVES, half_of};
+use femc_film::{LightBuffer, LightSums};
 use femc_geometry::Ray;
-use femc_layers::{DEAD, Kind, Labels, NO_LAYERS, State, Takers};
+use femc_layers::{DEAD, Kind, Labels, NO_LAYERS, State, Symbol, Takers};
 use femc_math::Rgb;
+use femc_math::sampler::replicate_of;
 use femc_montecarlo::record::{
     Contribution, Found, Hears, Leaving, Lobes, Place, Recorder, Scatterer, Split, Stop, Transmitted, Vertex,
 };
@@ -20,25 +22,61 @@ use femc_prepared::Prepared;
 pub(super) struct LayerRecorder<'a> {
     plan: &'a LayerPlan,
     prepared: &'a Prepared,
-    /// Pixel by pixel, layer by layer; without the latest pixel.
-    sums: Vec<LayerSums>,
-    /// The pixel that is being rendered: its light by [`Takers`], and its samples.
+    done: Pixels,
+    /// The pixel that is being rendered: its light by [`Takers`] and half, and its samples.
     latest: Option<u32>,
-    pixel: Vec<LayerLight>,
-    counts: LayerSums,
+    pixel: Vec<LightBuffer>,
+    count: [u32; HALVES],
     // Of the sample that is being traced:
-    sample: u32,
-    /// Where its path stands with all of its light; dead where it stands nowhere, or in several states.
-    state: State,
-    /// The states of a path that was split, and what share of its light is in each, by channel. Dead states are left out.
-    ways: Vec<(State, Rgb)>,
-    before: Vec<(State, Rgb)>,
+    half: usize,
     /// Labels of the latest vertex, and how it scatters.
     labels: Labels,
     split: Split,
-    /// Light by [`Takers`], and those who have some.
-    light: Vec<Rgb>,
-    lit: Vec<Takers>,
+    notes: Notes,
+    ways: Ways,
+}
+
+/// Pixels that are done, one after the other.
+pub(super) struct Pixels {
+    /// Good samples.
+    pub(super) count: Vec<[u32; HALVES]>,
+    /// By [`Takers`]; what is missing at the end of one has no light.
+    pub(super) light: Vec<Vec<LightSums>>,
+}
+
+/// What a path has done.
+#[derive(Default)]
+struct Notes {
+    /// Its events; of a surface that has scattered it in two ways the diffuse one.
+    events: Vec<Symbol>,
+    splits: Vec<Fork>,
+    finds: Vec<Find>,
+}
+
+/// A surface that has scattered a path diffusely and about a direction.
+struct Fork {
+    /// Number of the event.
+    at: u32,
+    glossy: Symbol,
+    /// By channel what is diffuse.
+    share: Rgb,
+}
+
+/// Light that a path has found.
+struct Find {
+    color: Rgb,
+    /// Events of the path until then.
+    at: u32,
+    /// What scatters the light to the path.
+    scattered: Symbol,
+    source: Symbol,
+}
+
+/// The states of a path that was split, and what share of its light is in each, by channel. Dead states are left out.
+#[derive(Default)]
+struct Ways {
+    now: Vec<(State, Rgb)>,
+    before: Vec<(State, Rgb)>,
 }
 
 impl<'a> LayerRecorder<'a> {
@@ -47,124 +85,21 @@ impl<'a> LayerRecorder<'a> {
         Self {
             plan,
             prepared,
-            sums: Vec::new(),
+            done: Pixels { count: Vec::new(), light: vec![Vec::new(); sets] },
             latest: None,
-            pixel: vec![LayerLight::default(); sets],
-            counts: LayerSums::default(),
-            sample: 0,
-            state: DEAD,
-            ways: Vec::new(),
-            before: Vec::new(),
+            pixel: vec![LightBuffer::default(); sets],
+            count: [0; HALVES],
+            half: 0,
             labels: plan.plain,
             split: Split { transmitted: Transmitted::No, lobes: Lobes::Glossy },
-            light: vec![Rgb::ZERO; sets],
-            lit: Vec::with_capacity(sets),
+            notes: Notes::default(),
+            ways: Ways::default(),
         }
     }
 
-    pub(super) fn into_sums(mut self) -> Vec<LayerSums> {
+    pub(super) fn finish(mut self) -> Pixels {
         self.end_pixel();
-        self.sums
-    }
-
-    #[inline]
-    fn after(&self, state: State, kind: Kind) -> State {
-        self.plan.automaton.next(state, kind, self.labels)
-    }
-
-    #[inline]
-    fn is_dead(&self) -> bool {
-        self.state == DEAD && self.ways.is_empty()
-    }
-
-    /// Adds light of a source that a path in this state has met.
-    #[inline]
-    fn add(&mut self, state: State, (kind, labels): (Kind, Labels), color: Rgb) {
-        let automaton = &self.plan.automaton;
-        let takers = automaton.takers(automaton.next(state, kind, labels));
-        if takers == NO_LAYERS {
-            return;
-        }
-        let light = &mut self.light[usize::from(takers)];
-        if *light == Rgb::ZERO {
-            self.lit.push(takers);
-        }
-        *light += color;
-    }
-
-    /// Adds light that comes to the camera from the latest surface, which scatters it to a path in this state.
-    #[inline]
-    fn add_scattered(&mut self, state: State, lamp: (Kind, Labels), color: Rgb) {
-        let Split { transmitted, lobes } = self.split;
-        let [diffuse, glossy] = kinds(transmitted);
-        match lobes {
-            Lobes::Diffuse => self.add(self.after(state, diffuse), lamp, color),
-            Lobes::Glossy => self.add(self.after(state, glossy), lamp, color),
-            Lobes::Both(share) => {
-                self.add(self.after(state, diffuse), lamp, color * share);
-                self.add(self.after(state, glossy), lamp, color * (Rgb::ONE - share));
-            }
-        }
-    }
-
-    /// Adds light that was found by a path in this state.
-    #[inline]
-    fn add_found(&mut self, state: State, found: Found, light: Option<u32>, color: Rgb) {
-        let lamp = (Kind::Light, self.plan.lamp(light));
-        match found {
-            // The field ends paths of the method `fem` alone, which has no layers.
-            Found::Sight | Found::Met | Found::Field => self.add(state, lamp, color),
-            Found::Surface => self.add_scattered(state, lamp, color),
-            Found::Airlight(medium) => {
-                let state = self.plan.automaton.next(state, Kind::Volume, self.plan.medium(medium));
-                self.add(state, lamp, color);
-            }
-            Found::Glow(medium) => self.add(state, (Kind::Object, self.plan.medium(medium)), color),
-        }
-    }
-
-    /// The same by a path that was split.
-    #[inline(never)]
-    fn add_to_ways(&mut self, found: Found, light: Option<u32>, color: Rgb) {
-        for at in 0..self.ways.len() {
-            let (state, share) = self.ways[at];
-            self.add_found(state, found, light, color * share);
-        }
-    }
-
-    /// Takes a path that was split, or that the latest surface splits, on by these events, each with its share.
-    #[inline(never)]
-    fn step_ways(&mut self, events: &[(Kind, Rgb)]) {
-        if self.state != DEAD {
-            self.ways.push((self.state, Rgb::ONE));
-            self.state = DEAD;
-        }
-        std::mem::swap(&mut self.ways, &mut self.before);
-        self.ways.clear();
-        for &(kind, part) in events {
-            for at in 0..self.before.len() {
-                let (state, share) = self.before[at];
-                let state = self.after(state, kind);
-                if state == DEAD {
-                    continue;
-                }
-                let share = share * part;
-                match self.ways.iter_mut().find(|known| known.0 == state) {
-                    Some((_, all)) => *all += share,
-                    None => self.ways.push((state, share)),
-                }
-            }
-        }
-    }
-
-    /// Takes the path on by an event.
-    #[inline]
-    fn step(&mut self, kind: Kind) {
-        if self.state != DEAD {
-            self.state = self.after(self.state, kind);
-        } else {
-            self.step_ways(&[(kind, Rgb::ONE)]);
-        }
+        self.done
     }
 
     #[cold]
@@ -173,52 +108,165 @@ impl<'a> LayerRecorder<'a> {
         self.latest = Some(pixel);
     }
 
-    /// Gives each layer the light of the pixel's samples.
     fn end_pixel(&mut self) {
         if self.latest.take().is_none() {
             return;
         }
-        let first = self.sums.len();
-        let counts = std::mem::take(&mut self.counts);
-        self.sums.resize(first + self.plan.count, counts);
-        let layers = &mut self.sums[first..];
-        for (light, &takers) in self.pixel.iter_mut().zip(self.plan.automaton.layers()) {
-            let Some(light) = light.take() else { continue };
-            let mut rest = takers;
-            while rest != 0 {
-                layers[rest.trailing_zeros() as usize].merge(&light);
-                rest &= rest - 1;
+        let before = self.done.count.len();
+        self.done.count.push(std::mem::take(&mut self.count));
+        for (light, done) in self.pixel.iter_mut().zip(&mut self.done.light) {
+            if let Some(sums) = light.take() {
+                done.resize(before, LightSums::default());
+                done.push(sums);
+            }
+        }
+    }
+
+    /// Notes light that comes to the path's latest surface from a lamp.
+    #[inline(always)]
+    fn scattered(&mut self, color: Rgb, source: Symbol) {
+        let [diffuse, glossy] = lobes(self.labels, self.split.transmitted);
+        match self.split.lobes {
+            Lobes::Diffuse => self.notes.find(color, diffuse, source),
+            Lobes::Glossy => self.notes.find(color, glossy, source),
+            Lobes::Both(share) => self.notes.find_both(color, share, [diffuse, glossy], source),
+        }
+    }
+
+    /// Adds the light of a path that is in one state at a time.
+    fn add_all(&mut self) {
+        let (automaton, half) = (&self.plan.automaton, self.half);
+        let (mut state, mut at) = (automaton.start(), 0);
+        // Light that comes in succession to the same layers.
+        let (mut takers, mut light) = (NO_LAYERS, Rgb::ZERO);
+        for find in &self.notes.finds {
+            for event in self.notes.events.get(at..find.at as usize).unwrap_or_default() {
+                state = automaton.next(state, *event);
+            }
+            at = find.at as usize;
+            let here = automaton.takers(automaton.next(state, find.scattered), find.source);
+            if here != takers {
+                add(&mut self.pixel, takers, half, light);
+                (takers, light) = (here, Rgb::ZERO);
+            }
+            light += find.color;
+        }
+        add(&mut self.pixel, takers, half, light);
+    }
+
+    /// The same of a path that was split.
+    #[inline(never)]
+    fn add_all_of_ways(&mut self) {
+        let automaton = &self.plan.automaton;
+        let mut splits = self.notes.splits.iter().peekable();
+        let mut finds = self.notes.finds.iter().peekable();
+        self.ways.begin(automaton.start());
+        for at in 0..=self.notes.events.len() {
+            while let Some(find) = finds.next_if(|find| find.at as usize == at) {
+                for &(state, share) in &self.ways.now {
+                    let takers = automaton.takers(automaton.next(state, find.scattered), find.source);
+                    add(&mut self.pixel, takers, self.half, find.color * share);
+                }
+            }
+            let Some(&event) = self.notes.events.get(at) else { break };
+            match splits.next_if(|split| split.at as usize == at) {
+                None => self.ways.step(&[(event, Rgb::ONE)], |state, event| automaton.next(state, event)),
+                Some(Fork { glossy, share, .. }) => {
+                    let events = [(event, *share), (*glossy, Rgb::ONE - *share)];
+                    self.ways.step(&events, |state, event| automaton.next(state, event));
+                }
             }
         }
     }
 }
 
+/// Adds light of a sample to what layers take together.
+#[inline(always)]
+fn add(pixel: &mut [LightBuffer], takers: Takers, half: usize, light: Rgb) {
+    if takers != NO_LAYERS {
+        pixel[usize::from(takers)].add(half, light);
+    }
+}
+
 /// Events of a surface's lobes: diffuse, glossy.
 #[inline]
-fn kinds(transmitted: Transmitted) -> [Kind; 2] {
-    match transmitted {
+fn lobes(labels: Labels, transmitted: Transmitted) -> [Symbol; 2] {
+    let kinds = match transmitted {
         Transmitted::No => [Kind::ReflectedDiffuse, Kind::ReflectedGlossy],
         Transmitted::Yes => [Kind::TransmittedDiffuse, Kind::TransmittedGlossy],
+    };
+    kinds.map(|kind| labels.event(kind))
+}
+
+impl Notes {
+    #[inline]
+    fn begin(&mut self) {
+        self.events.clear();
+        self.splits.clear();
+        self.finds.clear();
+    }
+
+    #[inline(never)]
+    fn fork(&mut self, glossy: Symbol, share: Rgb) {
+        self.splits.push(Fork { at: self.events.len() as u32, glossy, share });
+    }
+
+    #[inline(never)]
+    fn find_both(&mut self, color: Rgb, share: Rgb, [diffuse, glossy]: [Symbol; 2], source: Symbol) {
+        self.find(color * share, diffuse, source);
+        self.find(color * (Rgb::ONE - share), glossy, source);
+    }
+
+    #[inline]
+    fn find(&mut self, color: Rgb, scattered: Symbol, source: Symbol) {
+        self.finds.push(Find { color, at: self.events.len() as u32, scattered, source });
+    }
+}
+
+impl Ways {
+    fn begin(&mut self, state: State) {
+        self.now.clear();
+        if state != DEAD {
+            self.now.push((state, Rgb::ONE));
+        }
+    }
+
+    /// Takes all on by these events, each with its share.
+    fn step(&mut self, events: &[(Symbol, Rgb)], next: impl Fn(State, Symbol) -> State) {
+        std::mem::swap(&mut self.now, &mut self.before);
+        self.now.clear();
+        for &(event, part) in events {
+            for &(state, share) in &self.before {
+                let (state, share) = (next(state, event), share * part);
+                if state == DEAD {
+                    continue;
+                }
+                match self.now.iter_mut().find(|known| known.0 == state) {
+                    Some((_, all)) => *all += share,
+                    None => self.now.push((state, share)),
+                }
+            }
+        }
     }
 }
 
 impl Recorder for LayerRecorder<'_> {
     const HIDDEN: bool = false;
+    const DARK: bool = false;
 
     #[inline]
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
         if self.latest != Some(pixel) {
             self.begin_pixel(pixel);
         }
-        self.sample = sample;
-        self.state = self.plan.automaton.start();
-        self.ways.clear();
+        self.half = half_of(replicate_of(sample));
+        self.notes.begin();
         Hears::All
     }
 
     #[inline]
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
-        if !self.plan.are_alike && !self.is_dead() {
+        if !self.plan.are_alike {
             self.labels = match vertex().place {
                 Place::Surface { instance, primitive, material } => {
                     self.plan.surface(self.prepared.object_of(instance, primitive), material)
@@ -230,48 +278,50 @@ impl Recorder for LayerRecorder<'_> {
 
     #[inline]
     fn split(&mut self, split: impl FnOnce() -> Split) {
-        if !self.is_dead() {
-            self.split = split();
-        }
+        self.split = split();
     }
 
     #[inline]
     fn leave(&mut self, way: Leaving) {
-        if self.is_dead() {
-            return;
-        }
-        match way {
-            Leaving::Straight => {}
-            Leaving::Delta(Transmitted::No) => self.step(Kind::ReflectedSpecular),
-            Leaving::Delta(Transmitted::Yes) => self.step(Kind::TransmittedSpecular),
-            Leaving::Scattered { by: Scatterer::Phase, .. } => self.step(Kind::Volume),
+        let event = match way {
+            Leaving::Straight => return,
+            Leaving::Delta(Transmitted::No) => self.labels.event(Kind::ReflectedSpecular),
+            Leaving::Delta(Transmitted::Yes) => self.labels.event(Kind::TransmittedSpecular),
+            Leaving::Scattered { by: Scatterer::Phase, .. } => self.labels.event(Kind::Volume),
             Leaving::Scattered { by: Scatterer::Diffuse | Scatterer::Glossy, .. } => {
-                let Split { transmitted, lobes } = self.split;
-                let [diffuse, glossy] = kinds(transmitted);
-                match lobes {
-                    Lobes::Diffuse => self.step(diffuse),
-                    Lobes::Glossy => self.step(glossy),
-                    Lobes::Both(share) => self.step_ways(&[(diffuse, share), (glossy, Rgb::ONE - share)]),
+                let [diffuse, glossy] = lobes(self.labels, self.split.transmitted);
+                match self.split.lobes {
+                    Lobes::Diffuse => diffuse,
+                    Lobes::Glossy => glossy,
+                    Lobes::Both(share) => {
+                        self.notes.fork(glossy, share);
+                        diffuse
+                    }
                 }
             }
-        }
+        };
+        self.notes.events.push(event);
     }
 
     fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
 
     #[inline]
     fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
-        if self.is_dead() {
-            return;
-        }
         let Contribution { color, found, light, .. } = contribution();
         if color == Rgb::ZERO {
             return;
         }
-        if self.state != DEAD {
-            self.add_found(self.state, found, light, color);
-        } else {
-            self.add_to_ways(found, light, color);
+        let lamp = self.plan.lamp(light).event(Kind::Light);
+        match found {
+            // The field ends paths of the method `fem` alone, which has no layers.
+            Found::Sight | Found::Met | Found::Field => self.notes.find(color, Symbol::NONE, lamp),
+            Found::Surface => self.scattered(color, lamp),
+            Found::Airlight(medium) => {
+                self.notes.find(color, self.plan.medium(medium).event(Kind::Volume), lamp);
+            }
+            Found::Glow(medium) => {
+                self.notes.find(color, Symbol::NONE, self.plan.medium(medium).event(Kind::Object));
+            }
         }
     }
 
@@ -280,15 +330,15 @@ impl Recorder for LayerRecorder<'_> {
     #[inline]
     fn end(&mut self, color: Option<Rgb>) {
         // What the film refuses counts in no layer, either.
-        let counts = color.is_some();
-        if counts {
-            self.counts.count(self.sample);
+        if color.is_none() {
+            return;
         }
-        for takers in self.lit.drain(..).map(usize::from) {
-            let light = std::mem::take(&mut self.light[takers]);
-            if counts {
-                self.pixel[takers].add(self.sample, light);
-            }
+        let count = &mut self.count[self.half];
+        *count = count.saturating_add(1);
+        if self.notes.splits.is_empty() {
+            self.add_all();
+        } else {
+            self.add_all_of_ways();
         }
     }
 }

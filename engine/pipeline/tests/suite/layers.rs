@@ -221,3 +221,69 @@ fn labels_that_the_scene_does_not_have_are_refused_before_anything_runs() {
     let layers = vec![Layer::new("one", "CL")];
     assert!(plan(&scene, &settings(layers, Method::Fem), None).is_err_and(|e| e.to_string().contains("`femc`")));
 }
+
+/// A box of gas that glows, a wall behind it, and a lamp that the camera does not see.
+const GAS: &str = "\
+camera main =
+	origin .5 -9 .5
+	target .5 0 .5
+	fov 1
+	film 4 4
+medium gas =
+	sigma_a 2
+	glow 40
+mbox gas 0 0 0 1 1 1
+m wall =
+	c
+	rd .5
+v a =
+	p -4 2 -4
+v b =
+	p 4 2 -4
+v c =
+	p 4 2 4
+v d =
+	p -4 2 4
+m wall
+f a b c d
+m lamp =
+	sides 1
+	ed 50
+v l =
+	p .5 0 4
+m lamp
+o lamp
+sph l .3
+o
+";
+
+#[test]
+fn light_of_a_medium_that_glows_is_that_of_an_object() {
+    let own = [
+        ("glow", "C.*O"),
+        ("lamps", "C.*L"),
+        ("seen", "CO"),
+        ("named", "C<O.'gas'>"),
+        ("others", "C<O.[^'gas']>"),
+        ("lit_by_gas", "C<RD>O"),
+        ("lit_by_lamp", "C<RD>L"),
+    ];
+    let mut layers: Vec<Layer> = own.map(|(name, expression)| Layer::new(name, expression)).to_vec();
+    let labels = lamps(&world(GAS, &settings(Vec::new(), Method::Pt)));
+    assert_eq!(labels, ["gas", "lamp/lamp"]);
+    layers.extend(Preset::Lamps.layers(labels.iter().map(String::as_str)).unwrap());
+    let settings = settings(layers, Method::Pt);
+    let (image, layers) = rendered(&world(GAS, &settings), &settings).unwrap();
+    let layer = |name: &str| layers.iter().find(|layer| layer.name == name).unwrap();
+    // What a meter of gas emits and does not absorb: emission over extinction, for what it is thick.
+    let seen = 40.0 / (4.0 * std::f32::consts::PI * 2.0) * (1.0 - femc_math::elementary::exp(-2.0));
+    for color in layer("seen").color.as_flattened() {
+        assert!((color / seen - 1.0).abs() < 1e-3, "{color}, not {seen}");
+    }
+    assert_eq!(layer("named").color, layer("seen").color);
+    assert_eq!(sum(layer("others")), 0.0);
+    // The wall is lit by both, through the gas.
+    part(&image, &layers, &["glow", "lamps"]);
+    part(&image, &layers, &["seen", "lit_by_gas", "lit_by_lamp"]);
+    part(&image, &layers, &["lamp_gas", "lamp_lamp_lamp"]);
+}

@@ -226,7 +226,7 @@ fn normals(width: usize, height: usize, depth: &[f32], object: &[u8]) -> Vec<[f3
     let place = |at: usize| {
         let (x, y) =
             (scale * ((at % width) as f32 - 0.5 * width as f32), scale * ((at / width) as f32 - 0.5 * height as f32));
-        let far = depth[at] / (1.0 + x * x + y * y).sqrt();
+        let far = depth[at];
         [far * x, far * y, -far]
     };
     // From the farthest pixel of the object on one side to that on the other, three away at most.

@@ -2,7 +2,7 @@
 //! paper, wet paint runs into wet paint, backruns bloom (\[curtis1997\] tells of all these); highlights and thin gaps between things are
 //! left white.
 
-use crate::canvas::{Canvas, Dab, follow, ramp};
+use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Near, outlines};
 use crate::{Sight, chance, chance::Place};
 use femc_film::Picture;
@@ -14,6 +14,7 @@ const GRAPHITE: [f32; 3] = [0.55, 0.54, 0.55];
 const ULTRAMARINE: [f32; 3] = [0.26, 0.34, 0.66];
 const VIOLET: [f32; 3] = [0.50, 0.36, 0.58];
 const SIENNA: [f32; 3] = [0.92, 0.50, 0.24];
+const OCHRE: [f32; 3] = [0.97, 0.82, 0.58];
 const INDIGO: [f32; 3] = [0.16, 0.18, 0.32];
 
 /// Paints.
@@ -158,14 +159,15 @@ impl<'a> Sheet<'a> {
         (0..self.object.len()).map(inside).collect()
     }
 
-    /// The color of the thing itself, as a pigment.
+    /// The color of the thing itself, as a pigment: with a little ochre in all of them, so that light differs more than things do.
     fn pigment(&self, object: u8) -> [f32; 3] {
         let mut sum = [0.0f32; 3];
         let of_it = self.sight.object.iter().zip(&self.sight.local).filter(|(o, _)| **o == object);
         let count = of_it.map(|(_, color)| (0..3).for_each(|i| sum[i] += color[i])).count().max(1);
         let mean = sum.map(|c| c / count as f32);
-        let most = mean.into_iter().fold(0.05, f32::max);
-        mean.map(|c| pow(c / most, 2.6).clamp(0.10, 0.99))
+        let most = mean.into_iter().fold(0.0, f32::max);
+        let own = mean.map(|c| pow((c + 0.12) / (most + 0.12), 2.3).clamp(0.10, 0.99));
+        mix(own, OCHRE, 0.4)
     }
 
     fn first_wash(&mut self, object: u8) {

@@ -84,9 +84,8 @@ impl Written {
     }
 
     fn of(args: RenderArgs) -> Self {
-        let RenderArgs {
-            scene, out, exposure, report, fresh, painting, extras, format, settings, replay: _, watch: _
-        } = args;
+        let RenderArgs { scene, out, exposure, report, fresh, painting, extras, format, settings, replay: _, watch: _ } =
+            args;
         let ExtrasArgs { video, preview, contact_sheet } = extras;
         let flags = [
             ("--out", out.is_some()),

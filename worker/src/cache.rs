@@ -20,6 +20,7 @@ use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
 use femc_pipeline::{Aimed, Field, FrameKey, Layer, LayerPlan, Prepared, Settings, Settled, Source};
 use femc_proto::Client;
+use femc_scene::Scene;
 
 use crate::Pieces;
 use crate::bundle::fetch_bundle;
@@ -37,6 +38,11 @@ pub(crate) struct Read {
 }
 
 impl Read {
+    /// The scene.
+    pub(crate) fn scene(&self) -> &Scene {
+        self.source.scene()
+    }
+
     /// What a frame is made from.
     pub(crate) fn frame_key(&self, frame: u32) -> Result<FrameKey, Failure> {
         if let Some(frame_key) = lock(&self.keys).get(&frame) {

@@ -81,7 +81,7 @@ pub struct SettingsArgs {
     #[arg(long, value_name = "NAME=EXPRESSION")]
     pub layer: Vec<Layer>,
     /// The same by names: guides (five), lamps (one a lamp), direct, indirect, fog, surfaces; of what the camera sees first normal,
-    /// position, depth, albedo, motion
+    /// position, depth, albedo, motion, object, material
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub layers: Vec<String>,
 }

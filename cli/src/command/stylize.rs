@@ -82,22 +82,23 @@ enum Method {
 }
 
 #[derive(Serialize)]
-struct Report<'a> {
+struct Report {
     method: Method,
     mu: f32,
     balance: f32,
     boil: f32,
     patch: usize,
     iterations: usize,
-    guides: &'a [&'a str],
+    guides: Vec<String>,
     seconds: f64,
     frames: Vec<Row>,
 }
 
 /// A painted target.
-#[derive(Serialize)]
-struct Row {
-    image: String,
+#[derive(Debug, Serialize)]
+pub struct Row {
+    /// The picture's file.
+    pub image: String,
     width: usize,
     height: usize,
     levels: usize,
@@ -118,52 +119,93 @@ struct Row {
 pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
     let targets = targets(&args.target)?;
     let outputs = args.outputs(&targets)?;
-    let Style { painting, source, source_path } = Style::read(&args.style, args.source.as_deref())?;
-    let first = guide_frame("--target", &targets[0])?;
-    let names = match &*args.guides {
-        [] => frames::common(&source, &first).map_err(|error| args.told(&error, &targets[0]))?,
-        named => named.iter().map(String::as_str).collect(),
-    };
-    let curve = ToneCurve::auto(source.exposed().as_ref());
-    let guides = source.guides(&names, curve).map_err(|error| args.told(&error, &source_path))?;
-    let curve = args.curve(&targets, &first)?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, |threads| threads as usize)).build();
-    let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
-    let (clock, progress) = (Clock, Mutex::new(Progress::new(say, Clock)));
-    let (started, example) = (clock.now(), Example { style: &painting, guides: &guides });
-    let (mut rows, mut last): (Vec<Row>, Option<(Stylized, GuideFrame)>) = (Vec::new(), None);
-    for (at, (target, out)) in targets.iter().zip(&outputs).enumerate() {
-        let began = clock.now();
-        let frame = if at == 0 { first.clone() } else { guide_frame("--target", target)? };
-        let told = |error: StylizeError| args.told(&error, target);
-        let shown = frame.guides(&names, curve).map_err(told)?;
-        let before = last.as_ref().and_then(|(painted, frame)| moved(painted, frame)).transpose().map_err(told)?;
-        let show = |now: femc_stylize::Progress| {
-            let part = (at as f64 + now.fraction) / targets.len() as f64;
-            let text = || format!("{}: level {}/{}", out.display(), now.level, now.levels);
-            progress.lock().unwrap_or_else(PoisonError::into_inner).at(part, text);
-        };
-        let paint = || femc_stylize::stylize(example, &shown, before.as_ref(), &args.settings(), &show);
-        let painted = pool.install(paint).map_err(told)?;
-        file::write_atomic(out, &frames::picture(&painted.image).to_png().map_err(failed)?).map_err(failed)?;
-        let flicker = before.and_then(|before| before.flicker(&painted.image));
-        rows.push(Row::of(out, &painted, flicker, clock.since(began).as_secs_f64()));
-        last = Some((painted, frame));
-    }
-    drop(progress);
-    let Settings { mu, balance, boil, patch, iterations, .. } = args.settings();
-    let seconds = clock.since(started).as_secs_f64();
-    let (method, guides) = (args.method, &*names);
-    let report = Report { method, mu, balance, boil, patch, iterations, guides, seconds, frames: rows };
+    let style = Style::read(&args.style, args.source.as_deref())?;
+    let (settings, threads) = (args.settings(), args.threads.unwrap_or(0));
+    let curve = args.curve(&targets)?;
+    let order = Order { style: &style, guides: &args.guides, curve, settings, threads };
+    let Painted { guides, seconds, frames, is_moved } = order.paint(&targets, &outputs, say)?;
+    let Settings { mu, balance, boil, patch, iterations, .. } = settings;
+    let report = Report { method: args.method, mu, balance, boil, patch, iterations, guides, seconds, frames };
     if args.format.json {
         json::print(say, &report)?;
     } else {
         print(say, &report);
     }
-    if last.is_some_and(|(_, frame)| report.frames.len() > 1 && frame.motion().is_none()) {
+    if report.frames.len() > 1 && !is_moved {
         say.note("each target was painted anew: they have no layer `motion` to hold on to; femc render --layers motion,depth makes it");
     }
     Ok(Exit::Done)
+}
+
+/// What paints frames, and how.
+pub struct Order<'a> {
+    /// What they are to look like.
+    pub style: &'a Style,
+    /// Names of layers; empty: all that source and frames have.
+    pub guides: &'a [String],
+    /// How the frames are shown.
+    pub curve: ToneCurve,
+    /// How they are painted.
+    pub settings: Settings,
+    /// Threads; 0: all cores.
+    pub threads: u32,
+}
+
+/// What was painted.
+pub struct Painted {
+    /// Names of the layers that guided.
+    pub guides: Vec<String>,
+    /// Time of all.
+    pub seconds: f64,
+    /// Frame by frame.
+    pub frames: Vec<Row>,
+    /// Whether the frames say how they move.
+    pub is_moved: bool,
+}
+
+impl Order<'_> {
+    /// Paints frames in their order, each after the one before; one target at least.
+    /// - `outputs`: where each picture goes.
+    pub fn paint(&self, targets: &[PathBuf], outputs: &[PathBuf], say: Say) -> Result<Painted, Failure> {
+        let (clock, progress) = (Clock, Mutex::new(Progress::new(say, Clock)));
+        let started = clock.now();
+        let Style { painting, source, source_path } = self.style;
+        let first = guide_frame("--target", &targets[0])?;
+        let names = match self.guides {
+            [] => frames::common(source, &first).map_err(|error| told(&error, &targets[0]))?,
+            named => named.iter().map(String::as_str).collect(),
+        };
+        let shown = source.guides(&names, ToneCurve::auto(source.exposed().as_ref()));
+        let guides = shown.map_err(|error| told(&error, source_path))?;
+        let example = Example { style: painting, guides: &guides };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads as usize).build();
+        let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
+        let (mut rows, mut last): (Vec<Row>, Option<(Stylized, GuideFrame)>) = (Vec::new(), None);
+        for (at, (target, out)) in targets.iter().zip(outputs).enumerate() {
+            let began = clock.now();
+            let frame = if at == 0 { first.clone() } else { guide_frame("--target", target)? };
+            let told = |error: StylizeError| told(&error, target);
+            let shown = frame.guides(&names, self.curve).map_err(told)?;
+            let before = last.as_ref().and_then(|(painted, frame)| moved(painted, frame)).transpose().map_err(told)?;
+            let show = |now: femc_stylize::Progress| {
+                let part = (at as f64 + now.fraction) / targets.len() as f64;
+                let text = || format!("{}: level {}/{}", out.display(), now.level, now.levels);
+                progress.lock().unwrap_or_else(PoisonError::into_inner).at(part, text);
+            };
+            let paint = || femc_stylize::stylize(example, &shown, before.as_ref(), &self.settings, &show);
+            let painted = pool.install(paint).map_err(told)?;
+            file::write_atomic(out, &frames::picture(&painted.image).to_png().map_err(failed)?).map_err(failed)?;
+            let flicker = before.and_then(|before| before.flicker(&painted.image));
+            rows.push(Row::of(out, &painted, flicker, clock.since(began).as_secs_f64()));
+            last = Some((painted, frame));
+        }
+        Ok(Painted {
+            guides: names.into_iter().map(str::to_owned).collect(),
+            seconds: clock.since(started).as_secs_f64(),
+            frames: rows,
+            is_moved: last.is_some_and(|(_, frame)| frame.motion().is_some()),
+        })
+    }
 }
 
 /// The frame before, moved to where this one sees it; `None`: how it moved is not known.
@@ -213,47 +255,47 @@ impl StylizeArgs {
     }
 
     /// The tone curve of all targets together.
-    fn curve(&self, targets: &[PathBuf], first: &GuideFrame) -> Result<ToneCurve, Failure> {
-        let levels = |frame: &GuideFrame| frame.exposed().as_ref().map_or_else(Levels::default, Levels::of_image);
-        let mut all = levels(first);
+    fn curve(&self, targets: &[PathBuf]) -> Result<ToneCurve, Failure> {
+        let mut all = Levels::default();
         if self.exposure == Exposure::Auto {
-            for target in &targets[1..] {
-                all.merge(&levels(&guide_frame("--target", target)?));
+            for target in targets {
+                let exposed = guide_frame("--target", target)?.exposed();
+                all.merge(&exposed.as_ref().map_or_else(Levels::default, Levels::of_image));
             }
         }
         Ok(self.exposure.curve(&all))
     }
+}
 
-    /// What to change.
-    /// - `path`: of the frame at fault, if one is.
-    fn told(&self, error: &StylizeError, path: &Path) -> Failure {
-        let path = path.display();
-        match error {
-            StylizeError::Mu(mu) => usage(format!("--mu {mu}: give a number from 0 on")),
-            StylizeError::Balance(balance) => usage(format!("--balance {balance}: give a number from 0 on")),
-            StylizeError::Boil(boil) => usage(format!("--boil {boil}: give a number from 0 to 1")),
-            StylizeError::Patch(patch) => usage(format!("--patch {patch}: give an odd number from 3 to 15")),
-            StylizeError::Levels { most: 0, patch, .. } => usage(format!(
-                "source or {path} has fewer than {patch} rows or columns, the width of a patch; see --patch"
-            )),
-            StylizeError::Levels { levels, most, patch } => {
-                usage(format!("--levels {levels}: images of this size and patches of {patch} pixels allow 1 to {most}"))
-            }
-            StylizeError::NothingInCommon { source_guides, target_guides } => failed(format!(
-                "the source has the layers {}, {path} {}: none in common; render both with --layers guides",
-                source_guides.join(", "),
-                target_guides.join(", ")
-            )),
-            StylizeError::NoGuide(name) => failed(format!("{path}: it has no layer `{name}`; see --guides")),
-            StylizeError::BeforeSize { .. } => {
-                failed(format!("{path}: {error}; frames of a clip have one size; paint it by itself"))
-            }
-            StylizeError::NotFinite { .. } => failed(format!("{path}: {error}; render or repair the image")),
-            StylizeError::Shape { .. }
-            | StylizeError::StyleSize { .. }
-            | StylizeError::StyleChannels(_)
-            | StylizeError::Channels { .. } => failed(format!("{path}: {error}")),
+/// What to change.
+/// - `path`: of the frame at fault, if one is.
+fn told(error: &StylizeError, path: &Path) -> Failure {
+    let path = path.display();
+    match error {
+        StylizeError::Mu(mu) => usage(format!("--mu {mu}: give a number from 0 on")),
+        StylizeError::Balance(balance) => usage(format!("--balance {balance}: give a number from 0 on")),
+        StylizeError::Boil(boil) => usage(format!("--boil {boil}: give a number from 0 to 1")),
+        StylizeError::Patch(patch) => usage(format!("--patch {patch}: give an odd number from 3 to 15")),
+        StylizeError::Levels { most: 0, patch, .. } => {
+            usage(format!("source or {path} has fewer than {patch} rows or columns, the width of a patch; see --patch"))
         }
+        StylizeError::Levels { levels, most, patch } => {
+            usage(format!("--levels {levels}: images of this size and patches of {patch} pixels allow 1 to {most}"))
+        }
+        StylizeError::NothingInCommon { source_guides, target_guides } => failed(format!(
+            "the source has the layers {}, {path} {}: none in common; render both with --layers guides",
+            source_guides.join(", "),
+            target_guides.join(", ")
+        )),
+        StylizeError::NoGuide(name) => failed(format!("{path}: it has no layer `{name}`; see --guides")),
+        StylizeError::BeforeSize { .. } => {
+            failed(format!("{path}: {error}; frames of a clip have one size; paint it by itself"))
+        }
+        StylizeError::NotFinite { .. } => failed(format!("{path}: {error}; render or repair the image")),
+        StylizeError::Shape { .. }
+        | StylizeError::StyleSize { .. }
+        | StylizeError::StyleChannels(_)
+        | StylizeError::Channels { .. } => failed(format!("{path}: {error}")),
     }
 }
 
@@ -301,7 +343,7 @@ fn targets(asked: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(all)
 }
 
-fn print(say: Say, report: &Report<'_>) {
+fn print(say: Say, report: &Report) {
     let columns = ["picture", "guide error", "entropy", "unused", "sharpness", "flicker", "time"];
     let row = |row: &Row| {
         let or_none = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |it| format!("{it:.digits$}"));

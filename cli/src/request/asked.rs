@@ -368,7 +368,10 @@ fn layers(
             continue;
         }
         let preset = name.trim().parse().and_then(|preset: Preset| preset.layers(lamps.iter().map(String::as_str)));
-        all.extend(preset.map_err(|e| usage(format!("{}: {e}", named("layers"))))?);
+        let preset = preset.map_err(|e| usage(format!("{}: {e}", named("layers"))))?;
+        // What is asked for twice is one layer.
+        let new = preset.into_iter().filter(|layer| !all.contains(layer));
+        all.extend(new.collect::<Vec<_>>());
     }
     all.extend(typed.layer.iter().cloned());
     Ok((all, features))

@@ -2,8 +2,10 @@
 
 use crate::common::{Place, Running, coordinator, submit};
 use femc_film::exr::{read, read_channels};
+use femc_pipeline::cryptomatte;
+use std::collections::BTreeMap;
 
-const ALL: &str = "normal,position,depth,albedo,motion";
+const ALL: &str = "normal,position,depth,albedo,motion,object,material";
 
 fn bytes(place: &Place, name: &str) -> Vec<u8> {
     std::fs::read(place.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
@@ -33,13 +35,23 @@ fn features_of_a_farm_are_those_of_one_process_to_the_byte_with_layers_and_witho
     let [both, alone] = ["both", "alone"].map(|out| place.path(&format!("{out}/fog.0002.layers.exr")));
     let picture = read(&place.path("alone/fog.0002.exr")).expect("a picture").image;
     assert_eq!(read(&alone).expect("features").image, picture, "the file has the picture's colors");
-    for channel in ["normal.X", "position.Z", "depth.Z", "albedo.G", "coverage.A"] {
+    for channel in ["normal.X", "position.Z", "depth.Z", "albedo.G", "coverage.A", "crypto_material00.B"] {
         let read = |file| read_channels(file, [channel]).expect(channel).2;
         let values = read(&alone);
         assert!(values == read(&both), "{channel}");
         assert!(values[0].iter().any(|value| *value != 0.0), "{channel}");
     }
     assert!(read_channels(&alone, ["direct.R"]).is_err());
+    let attributes = read(&alone).expect("features").attributes;
+    let text = |layer: &str, what: &str| attributes[&cryptomatte::attribute(layer, what)].as_str();
+    assert_eq!(text("crypto_material", "name"), "crypto_material");
+    assert_eq!(text("crypto_material", "hash"), "MurmurHash3_32");
+    assert_eq!(text("crypto_material", "conversion"), "uint32_to_float32");
+    let id = |name: &str| format!("{:08x}", cryptomatte::id(name));
+    let manifest: BTreeMap<String, String> = serde_json::from_str(text("crypto_material", "manifest")).expect("JSON");
+    assert_eq!(manifest, ["lamp", "wall"].map(|name| (name.to_owned(), id(name))).into());
+    // Nothing is in an object there.
+    assert_eq!(text("crypto_object", "manifest"), r#"{"default":"42c9679f"}"#);
 }
 
 #[test]

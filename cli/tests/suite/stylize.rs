@@ -159,6 +159,27 @@ fn frames_of_a_clip_hold_on_to_what_was_painted_where_motion_says_it_went() {
 }
 
 #[test]
+fn frames_are_painted_when_they_are_rendered() {
+    let place = place();
+    let line = "render fog.mgf -o clip --frames 1..2 --size 24x16 --spp 4";
+    let report = place.run(&format!("{line} --style hatching --json")).exits(0).json();
+    let painted = report["painted"].as_array().expect("a list").clone();
+    assert_eq!(painted.len(), 2, "{report}");
+    let files: Vec<&str> = painted.iter().map(|file| file.as_str().expect("a name")).collect();
+    assert!(files.iter().all(|file| file.ends_with(".painted.png") && picture(&place, file).width == 24), "{files:?}");
+    // The same by hand: they hold on to each other, under one exposure.
+    let targets: Vec<String> = files.iter().map(|file| file.replace(".painted.png", ".layers.exr")).collect();
+    place.run(&format!("stylize --style hatching --target {} -o again/", targets.join(" "))).exits(0);
+    for (file, name) in files.iter().zip(names(&place.path("again"))) {
+        assert!(picture(&place, file) == picture(&place, &format!("again/{name}")), "{file} and {name} differ");
+    }
+    let ran = place.run(&format!("{line} --style aquatint")).exits(2);
+    assert!(ran.stderr().contains("--style aquatint"), "{}", ran.stderr());
+    place.run(&format!("{line} --boil 0.5")).exits(2);
+    place.run(&format!("{line} --style oil --boil 1.5")).exits(2);
+}
+
+#[test]
 fn the_source_itself_is_painted_as_the_painting_is() {
     let place = place();
     place.run("stylize --style p.png --source a.exr --target a.exr -o same.png").exits(0);

@@ -16,12 +16,17 @@ pub enum Feature {
     Albedo,
     /// From where it is in the picture to where it will be in the next frame, pixels, x to the right and y down.
     Motion,
+    /// The innermost object that it is part of, by name.
+    Object,
+    /// Its material, by name.
+    Material,
 }
 
 impl Feature {
     /// What they are called, in order.
-    pub const NAMES: [&str; 5] = ["normal", "position", "depth", "albedo", "motion"];
-    const ALL: [Self; 5] = [Self::Normal, Self::Position, Self::Depth, Self::Albedo, Self::Motion];
+    pub const NAMES: [&str; 7] = ["normal", "position", "depth", "albedo", "motion", "object", "material"];
+    const ALL: [Self; 7] =
+        [Self::Normal, Self::Position, Self::Depth, Self::Albedo, Self::Motion, Self::Object, Self::Material];
 
     /// What it is called.
     pub fn name(self) -> &'static str {
@@ -40,7 +45,23 @@ impl Feature {
             Self::Depth => &["Z"],
             Self::Albedo => &["R", "G", "B"],
             Self::Motion => &["X", "Y"],
+            Self::Object | Self::Material => &[],
         }
+    }
+
+    /// Of a feature that is a name, not numbers: the name of its Cryptomatte.
+    pub fn matte(self) -> Option<&'static str> {
+        match self {
+            Self::Object => Some("crypto_object"),
+            Self::Material => Some("crypto_material"),
+            _ => None,
+        }
+    }
+
+    /// Whether the channels of some feature begin with this.
+    pub(crate) fn has_channels(name: &str) -> bool {
+        let is_matte = |feature: &Self| feature.matte().is_some_and(|matte| name.starts_with(matte));
+        Self::named(name).is_some() || Self::ALL.iter().any(is_matte)
     }
 }
 

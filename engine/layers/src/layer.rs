@@ -35,7 +35,7 @@ impl Layer {
         if !(1..=64).contains(&self.name.len()) || !self.name.chars().all(is_fit) {
             return Err(LayerError::Name(self.name.clone()));
         }
-        if TAKEN.contains(&self.name.as_str()) || Feature::named(&self.name).is_some() {
+        if TAKEN.contains(&self.name.as_str()) || Feature::has_channels(&self.name) {
             return Err(LayerError::Taken(self.name.clone()));
         }
         Expression::parse(&self.expression).map_err(|cause| LayerError::Expression { layer: self.name.clone(), cause })
@@ -75,6 +75,8 @@ mod tests {
         assert_eq!("a.b=CDL".parse::<Layer>(), Err(LayerError::Name("a.b".into())));
         assert_eq!("=CDL".parse::<Layer>(), Err(LayerError::Name(String::new())));
         assert_eq!("samples=CDL".parse::<Layer>(), Err(LayerError::Taken("samples".into())));
+        assert_eq!("motion=CDL".parse::<Layer>(), Err(LayerError::Taken("motion".into())));
+        assert_eq!("crypto_object00=CDL".parse::<Layer>(), Err(LayerError::Taken("crypto_object00".into())));
         let error = "a=C<".parse::<Layer>().unwrap_err().to_string();
         assert!(error.starts_with("layer `a`: found its end; expected a type"), "{error}");
         let twice = [Layer::new("a", "CL"), Layer::new("a", "CDL")];

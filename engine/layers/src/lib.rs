@@ -9,6 +9,7 @@
 #![deny(missing_docs)]
 
 mod automaton;
+pub mod cryptomatte;
 mod error;
 mod event;
 mod expression;

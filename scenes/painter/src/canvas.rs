@@ -211,3 +211,41 @@ pub fn follow(
     }
     line
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stroke_covers_its_area_and_each_pixel_once() {
+        let mut canvas = Canvas::new(40, 20, [1.0; 3]);
+        let dabs = [5.0, 20.0, 30.0].map(|x| Dab { x, y: 10.0, radius: 2.0 });
+        let touches = canvas.touched(&dabs);
+        assert!(touches.windows(2).all(|pair| pair[0].at < pair[1].at));
+        // 25 long and 4 wide with two half circles, in quarters of a pixel.
+        let area = touches.iter().map(|touch| touch.cover).sum::<f32>() / (FINE * FINE) as f32;
+        assert!((area - (100.0 + 4.0 * std::f32::consts::PI)).abs() < 2.0, "{area}");
+        let middle = touches.iter().find(|t| (t.x - 22.25).abs() < 0.1 && (t.y - 11.75).abs() < 0.1).unwrap();
+        assert!((middle.along - 17.25).abs() < 1e-3 && (middle.across - 0.875).abs() < 1e-3, "{middle:?}");
+        // The next stroke does not know of this one.
+        assert_eq!(canvas.touched(&dabs).len(), touches.len());
+    }
+
+    #[test]
+    fn depth_grows_by_a_pixel_a_pixel_from_the_border() {
+        let canvas = Canvas::new(20, 20, [1.0; 3]);
+        let inside: Vec<bool> = (0..1600).map(|at| (10..30).contains(&(at % 40))).collect();
+        let far = canvas.depth_within(&inside);
+        assert_eq!([9, 10, 11, 19, 20, 29, 30].map(|column| far[800 + column]), [0.0, 0.5, 1.0, 5.0, 5.0, 0.5, 0.0]);
+    }
+
+    #[test]
+    fn a_line_follows_a_circle_both_ways() {
+        let around = |x: f32, y: f32| [-y, x];
+        let line = follow([10.0, 0.0], 0.1, around, |_, _, n| n <= 50);
+        assert_eq!(line.len(), 101);
+        assert_eq!(line[50], [10.0, 0.0]);
+        assert!(line[0][1] < -4.0 && line[100][1] > 4.0);
+        assert!(line.iter().all(|p| ((p[0] * p[0] + p[1] * p[1]).sqrt() - 10.0).abs() < 0.1));
+    }
+}

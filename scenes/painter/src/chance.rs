@@ -35,3 +35,56 @@ pub fn cloud(seed: u32, x: f32, y: f32, octaves: u32) -> f32 {
     }
     1.4 * sum
 }
+
+/// Where a stroke may begin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// For all that is left to chance of the stroke.
+    pub key: u64,
+    /// Position in the picture's pixels.
+    pub x: f32,
+    /// Row.
+    pub y: f32,
+}
+
+/// Places all over a picture and a little beyond, one in each square of `apart` pixels, in an order without direction.
+pub fn places(seed: u64, width: usize, height: usize, apart: f32) -> Vec<Place> {
+    let count = |pixels: usize| (pixels as f32 / apart) as u64 + 1;
+    let (columns, rows) = (count(width), count(height));
+    let place = |square: u64| {
+        let key = combine(&[seed, square]);
+        let within = |word: u64| unit(&[key, word]);
+        let (column, row) = ((square % columns) as f32, (square / columns) as f32);
+        Place { key, x: (column + within(u64::MAX)) * apart, y: (row + within(u64::MAX - 1)) * apart }
+    };
+    let mut places: Vec<Place> = (0..columns * rows).map(place).collect();
+    places.sort_by_key(|place| place.key);
+    places
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_are_one_to_a_square_and_in_no_order_of_rows() {
+        let places = places(3, 40, 20, 10.0);
+        let mut squares: Vec<_> = places.iter().map(|p| ((p.y / 10.0) as usize, (p.x / 10.0) as usize)).collect();
+        assert!(!squares.is_sorted());
+        squares.sort_unstable();
+        let all: Vec<_> = (0..3).flat_map(|row| (0..5).map(move |column| (row, column))).collect();
+        assert_eq!(squares, all);
+        assert_eq!(super::places(3, 40, 20, 10.0), places);
+        assert_ne!(super::places(4, 40, 20, 10.0), places);
+    }
+
+    #[test]
+    fn noise_is_smooth_and_within_its_bounds() {
+        for n in 0..2000 {
+            let (x, y) = (0.37 * n as f32 - 300.0, 0.11 * n as f32);
+            let [here, near] = [noise(9, x, y), noise(9, x + 1e-3, y)];
+            assert!(here.abs() <= 1.0 && (here - near).abs() < 5e-3, "at {x}, {y}: {here} and {near}");
+            assert!(cloud(9, x, y, 4).abs() <= 1.4);
+        }
+    }
+}

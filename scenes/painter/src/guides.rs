@@ -20,7 +20,7 @@ pub struct Guides {
     pub layers: [Vec<[f32; 3]>; 5],
     /// Of the first surface, 0..1.
     pub albedo: Vec<[f32; 3]>,
-    /// Distance of the first surface, metres.
+    /// Depth of the first surface along the view, metres.
     pub depth: Vec<f32>,
 }
 

@@ -44,9 +44,14 @@ fn guides(frame: &Path, out: &Path) -> Done {
 
 fn paint(guides: &Path, folder: &Path) -> Done {
     let sight = Sight::of(&Guides::read(guides)?)?;
-    for style in STYLES {
+    let sight = &sight;
+    let painted = std::thread::scope(|scope| {
+        let painters = STYLES.map(|style| scope.spawn(move || (style.paint)(sight)));
+        painters.map(|painter| painter.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    });
+    for (style, picture) in STYLES.iter().zip(painted) {
         let path = folder.join(style.name).with_extension("png");
-        file::write_atomic(&path, &(style.paint)(&sight).to_png()?)?;
+        file::write_atomic(&path, &picture.to_png()?)?;
         println!("{}", path.display());
     }
     Ok(())

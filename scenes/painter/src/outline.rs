@@ -11,17 +11,20 @@ const APART: f32 = 3.0;
 /// A line, or a piece of one.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// The object that it is the outline of, the smaller one of the two that meet, or that it lies on.
+    /// The object that it is the outline of, or that it lies on.
     pub object: u8,
     /// Points, [`STEP`] apart.
     pub points: Vec<[f32; 2]>,
 }
 
-/// The lines at which objects meet, each once, smoothed to a pixel or two.
+/// The lines at which objects meet, each once, smoothed to a pixel or two: first those of round things, which are mostly before others.
 pub fn outlines(sight: &Sight) -> Vec<Line> {
     let mut drawn = Near::new(sight.width, sight.height, APART);
+    let mut objects: Vec<u8> = (0..sight.curved.len() as u8).collect();
+    let curved = |object: u8| sight.curved[usize::from(object)];
+    objects.sort_by(|&a, &b| curved(b).total_cmp(&curved(a)));
     let mut lines = Vec::new();
-    for object in (0..sight.curved.len() as u8).rev() {
+    for object in objects {
         let found = contours(sight, &inside(sight, object), 0.5, &mut drawn, |_, _| true);
         lines.extend(found.into_iter().map(|points| Line { object, points }));
     }

@@ -27,7 +27,8 @@ pub struct Sight {
     pub local: Vec<[f32; 3]>,
     /// How much light falls straight onto the surface; 1: as much as where it is lightest.
     pub light: Vec<f32>,
-    /// The same relative to where the object itself is lightest.
+    /// The same as a painter balances it: what is lit weakly as a whole is painted half as dark as it is (by the root of the light where the
+    /// object is lightest).
     pub lit: Vec<f32>,
     /// Light that comes by other surfaces, in the same unit.
     pub bounce: Vec<f32>,
@@ -46,14 +47,16 @@ impl Sight {
     /// - errors: there is no direct light in it.
     pub fn of(guides: &Guides) -> Result<Self, PainterError> {
         let (width, height) = (guides.width as usize, guides.height as usize);
-        let [full, direct, specular, _, bounced] = &guides.layers;
-        let image = Image { width: guides.width, height: guides.height, pixels: full.clone() };
+        let layer = |number: usize| guides.layers[number].iter().map(|&color| finite(color)).collect::<Vec<_>>();
+        let [full, direct, specular, bounced] = [layer(0), layer(1), layer(2), layer(4)];
+        let albedo: Vec<_> = guides.albedo.iter().map(|&color| finite(color)).collect();
+        let image = Image { width: guides.width, height: guides.height, pixels: full };
         let curve = ToneCurve::auto([&image]);
-        let shown: Vec<_> = full.iter().map(|&color| curve.display(color)).collect();
+        let shown: Vec<_> = image.pixels.iter().map(|&color| curve.display(color)).collect();
         let fallen = |layer: &[[f32; 3]]| -> Vec<f32> {
-            layer.iter().zip(&guides.albedo).map(|(&light, &albedo)| luma(light) / luma(albedo).max(0.02)).collect()
+            layer.iter().zip(&albedo).map(|(&light, &albedo)| luma(light) / luma(albedo).max(0.02)).collect()
         };
-        let (mut light, mut bounce) = (fallen(direct), fallen(bounced));
+        let (mut light, mut bounce) = (fallen(&direct), fallen(&bounced));
         let most = high(&light);
         if !(most > 0.0 && most.is_finite()) {
             return Err(PainterError::Dark);
@@ -67,16 +70,16 @@ impl Sight {
             .fold(0.0, f32::max)
             .max(0.2 * high(&direct.iter().map(|&c| luma(c)).collect::<Vec<_>>()));
         gloss.iter_mut().for_each(|value| *value /= glaring);
-        let object = objects(width, height, &guides.albedo);
+        let object = objects(width, height, &albedo);
         let normal = normals(width, height, &guides.depth, &object);
-        let lit = relative(&light, &object);
+        let lit = balanced(&light, &object);
         let curved = curvedness(&normal, &object);
         Ok(Self {
             width,
             height,
             tone: shown.iter().map(|&color| luma(color)).collect(),
             shown,
-            local: guides.albedo.iter().map(|color| color.map(|c| tone::srgb(c.clamp(0.0, 1.0)))).collect(),
+            local: albedo.iter().map(|color| color.map(|c| tone::srgb(c.clamp(0.0, 1.0)))).collect(),
             light,
             lit,
             bounce,
@@ -119,6 +122,11 @@ impl Sight {
     }
 }
 
+/// What is no number, or endless, is black.
+fn finite(color: [f32; 3]) -> [f32; 3] {
+    color.map(|c| if c.is_finite() { c } else { 0.0 })
+}
+
 /// Rec.709 luma or luminance.
 pub fn luma(color: [f32; 3]) -> f32 {
     0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
@@ -131,14 +139,14 @@ fn high(values: &[f32]) -> f32 {
     sorted.get(sorted.len() * 49 / 50).copied().unwrap_or(0.0)
 }
 
-fn relative(light: &[f32], object: &[u8]) -> Vec<f32> {
+fn balanced(light: &[f32], object: &[u8]) -> Vec<f32> {
     let count = object.iter().copied().max().map_or(0, |most| usize::from(most) + 1);
     let most = |number: usize| {
         let of_it = light.iter().zip(object).filter(|(_, o)| usize::from(**o) == number);
         high(&of_it.map(|(&light, _)| light).collect::<Vec<_>>()).max(1e-3)
     };
     let most: Vec<f32> = (0..count).map(most).collect();
-    light.iter().zip(object).map(|(light, &number)| light / most[usize::from(number)]).collect()
+    light.iter().zip(object).map(|(light, &number)| light / most[usize::from(number)].sqrt()).collect()
 }
 
 /// Of each pixel what `add` makes of those in the square around it that are of its object.
@@ -218,7 +226,7 @@ fn normals(width: usize, height: usize, depth: &[f32], object: &[u8]) -> Vec<[f3
     let place = |at: usize| {
         let (x, y) =
             (scale * ((at % width) as f32 - 0.5 * width as f32), scale * ((at / width) as f32 - 0.5 * height as f32));
-        let far = depth[at] / (1.0 + x * x + y * y).sqrt();
+        let far = depth[at];
         [far * x, far * y, -far]
     };
     // From the farthest pixel of the object on one side to that on the other, three away at most.

@@ -58,7 +58,7 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
         product.put(stage, Role::Statistics, || bytes);
     }
     if stage.makes.contains(&Role::LayerImage) {
-        let bytes = layers::of_frame(task, tools, &settings, &image, &provenance)?;
+        let bytes = layers::of_frame(task, tools, &settings, read.scene(), &image, &provenance)?;
         product.put(stage, Role::LayerImage, || bytes);
     }
     product.result.decision = stage.closes.map(|_| Decision::Done);

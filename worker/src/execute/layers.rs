@@ -5,11 +5,12 @@ use std::collections::BTreeMap;
 use femc_film::tile::OPEN;
 use femc_film::{BesidePiece, BesideTile, FeatureImage, FilmError, FrameImage, LayerImage, Provenance, exr};
 use femc_model::{Failure, Phase, Role, Template};
-use femc_pipeline::{Settings, feature_channels, feature_layout};
+use femc_pipeline::{Settings, cryptomatte, feature_channels, feature_layout, feature_mattes};
+use femc_scene::Scene;
 
 use super::image::damaged_picture;
 use super::union::{Lost, expected, groups, stops, tiles, tiling};
-use super::{Product, Tools};
+use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
@@ -71,6 +72,7 @@ pub(super) fn of_frame(
     task: &Task,
     tools: &Tools,
     settings: &Settings,
+    scene: &Scene,
     image: &FrameImage,
     provenance: &Provenance,
 ) -> Result<Vec<u8>, Failure> {
@@ -87,9 +89,10 @@ pub(super) fn of_frame(
         piece.light.iter().try_for_each(|piece| LayerImage::put(&mut light, piece))?;
         piece.features.iter().try_for_each(|piece| features.put(piece))
     })?;
+    let texts = mattes(settings, scene, &features)?;
     let names = if has.1 { feature_channels(&settings.features) } else { Vec::new() };
     let features: Vec<(String, Vec<f32>)> = names.into_iter().zip(features.channels).collect();
-    let file = tools.install(task, || exr::encode_layers(image, &light, &features, &[], provenance));
+    let file = tools.install(task, || exr::encode_layers(image, &light, &features, &texts, provenance));
     tracing::debug!(
         layers = light.len(),
         features = features.len(),
@@ -97,4 +100,22 @@ pub(super) fn of_frame(
         "layers are put together"
     );
     file.map_err(|error| damaged_picture(&error))
+}
+
+/// What the file tells of its Cryptomattes: how ids were made, and the names of those that are in the frame.
+fn mattes(settings: &Settings, scene: &Scene, image: &FeatureImage) -> Result<Vec<(String, String)>, Failure> {
+    let mut texts = Vec::new();
+    for (kind, (matte, names)) in feature_mattes(&settings.features, scene).into_iter().enumerate() {
+        let there = image.ids(kind);
+        let named = names.iter().filter(|(_, id)| there.contains(id));
+        let manifest: BTreeMap<&str, String> = named.map(|(name, id)| (name.as_str(), format!("{id:08x}"))).collect();
+        let all = [
+            ("name", matte.to_owned()),
+            ("hash", "MurmurHash3_32".to_owned()),
+            ("conversion", "uint32_to_float32".to_owned()),
+            ("manifest", serde_json::to_string(&manifest).map_err(unfit)?),
+        ];
+        texts.extend(all.map(|(what, text)| (cryptomatte::attribute(matte, what), text)));
+    }
+    Ok(texts)
 }

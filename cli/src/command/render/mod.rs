@@ -4,6 +4,7 @@ mod beside;
 mod clip;
 mod drive;
 mod layers;
+mod painting;
 mod report;
 mod report_file;
 pub mod state;
@@ -22,6 +23,7 @@ use crate::request::{Asked, picture};
 use crate::values::Exposure;
 use clap::Args;
 use drive::{Made, Order};
+use painting::PaintingArgs;
 use report::{FrameReport, Report};
 use report_file::ReportFile;
 use state::{Found, Identity, Old, State};
@@ -39,7 +41,8 @@ use there::Wanted;
     femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n  \
     femc render scenes/cornell-fog.mgf -o again.exr --replay cornell.exr    # the same pixels\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --report cornell.html    # where the time went\n  \
-    femc render scenes/cornell-fog.mgf -o cornell.exr --layers direct,indirect --layer fog='C.*V.*'\n\n\
+    femc render scenes/cornell-fog.mgf -o cornell.exr --layers direct,indirect --layer fog='C.*V.*'\n  \
+    femc render scenes/glossy.mgf -o glossy.exr --style oil    # glossy.painted.png, too\n\n\
     A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame \
     that was interrupted keeps its samples. Frames whose scene or settings differ are rendered anew.")]
 pub struct RenderArgs {
@@ -67,6 +70,8 @@ pub struct RenderArgs {
     #[arg(long)]
     pub watch: bool,
     #[command(flatten)]
+    pub painting: PaintingArgs,
+    #[command(flatten)]
     pub extras: ExtrasArgs,
     #[command(flatten)]
     pub format: FormatArgs,
@@ -75,8 +80,12 @@ pub struct RenderArgs {
 }
 
 /// Render.
-pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
+    let style = args.painting.style()?;
+    if style.is_some() {
+        painting::ask_for_layers(&mut args.settings);
+    }
     args.extras.check()?;
     let report_file = args.report.as_deref().map(ReportFile::to).transpose()?;
     let asked = match &args.replay {
@@ -84,7 +93,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         None => Asked::open(&args.scene, args.settings, say)?.decided()?,
     };
     let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
-    check_pictures(&target, &args.extras, args.exposure)?;
+    check_pictures(&target, &args.extras, args.exposure, style.is_some())?;
     let exposure = args.exposure.unwrap_or_default();
     let frames = target.frames(&asked, say)?;
     let wanted = Wanted::new(&asked, exposure)?;
@@ -142,6 +151,10 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         let files = report.files.iter().map(|file| layers_of(file.as_ref()).display().to_string());
         report.layers = files.collect();
     }
+    if let Some(style) = &style {
+        report.painted = args.painting.paint(style, &report.files, exposure, say)?;
+        report.painted.iter().for_each(|file| say.note(format!("wrote {file}")));
+    }
     clip::write(&asked, &mut report, &args.extras, exposure, say)?;
     report.warn(say);
     if args.format.json {
@@ -153,7 +166,12 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// Pictures are made of EXR files, and only they have an exposure.
-fn check_pictures(target: &Target, extras: &ExtrasArgs, exposure: Option<Exposure>) -> Result<(), Failure> {
+fn check_pictures(
+    target: &Target,
+    extras: &ExtrasArgs,
+    exposure: Option<Exposure>,
+    is_painted: bool,
+) -> Result<(), Failure> {
     let ExtrasArgs { video, preview, contact_sheet } = extras;
     let wants_more = *preview || video.is_some() || contact_sheet.is_some();
     if target.is_picture() && wants_more {
@@ -162,9 +180,9 @@ fn check_pictures(target: &Target, extras: &ExtrasArgs, exposure: Option<Exposur
             "-o {out} is a picture, and --preview, --video and --contact-sheet are made of EXR files; give NAME.exr or a folder"
         )));
     }
-    if exposure.is_some() && !target.is_picture() && !wants_more {
+    if exposure.is_some() && !target.is_picture() && !wants_more && !is_painted {
         return Err(usage(
-            "--exposure is of pictures, and EXR files have none; give -o NAME.png, --preview, --video or --contact-sheet",
+            "--exposure is of pictures, and EXR files have none; give -o NAME.png, --preview, --video, --contact-sheet or --style",
         ));
     }
     Ok(())

@@ -35,6 +35,8 @@ pub struct Report {
     pub exposure_ev: Option<f64>,
     /// Files of the frames' layers, where they have some.
     pub layers: Vec<String>,
+    /// Painted pictures of the frames.
+    pub painted: Vec<String>,
     /// PNG files beside the frames.
     pub previews: Vec<String>,
     /// The clip.

@@ -55,7 +55,9 @@ impl FeaturePiece {
             let ranked: Vec<[(u32, f32); RANKS]> = kind
                 .pixels()
                 .zip(&sums.counts)
-                .map(|(pixel, [samples, _])| ranked(pixel).map(|[id, count]| (id, share(count, *samples))))
+                .map(|(pixel, [samples, hits])| {
+                    ranked(pixel, samples - hits).map(|[id, count]| (id, share(count, *samples)))
+                })
                 .collect();
             for rank in 0..RANKS {
                 self.channels.extend(ranked.iter().map(|pixel| pixel[rank].0));
@@ -107,8 +109,12 @@ impl FeaturePiece {
 }
 
 /// The ids that most samples belong to, the most first, of equal ones the lowest id; zeros where there are fewer.
-fn ranked(pixel: &[[u32; 2]]) -> [[u32; 2]; RANKS] {
+/// - `misses`: samples that met nothing, whose id is 0.
+fn ranked(pixel: &[[u32; 2]], misses: u32) -> [[u32; 2]; RANKS] {
     let mut sorted = pixel.to_vec();
+    if misses > 0 {
+        sorted.push([0, misses]);
+    }
     sorted.sort_unstable_by_key(|&[id, count]| (std::cmp::Reverse(count), id));
     std::array::from_fn(|rank| sorted.get(rank).copied().unwrap_or_default())
 }
@@ -121,7 +127,7 @@ pub struct FeatureImage {
     height: u32,
     /// Channel by channel, row by row: the numbers, means over the samples that met something, 0 where none did; the coverage, the share
     /// of these among all; of each kind of ids [`RANKS`] times an id, whose bits are the float's, and the share of the samples that
-    /// belong to it.
+    /// belong to it. Samples that met nothing have the id 0.
     pub channels: Vec<Vec<f32>>,
 }
 
@@ -149,11 +155,11 @@ impl FeatureImage {
         Ok(())
     }
 
-    /// Ids of a kind that pixels have.
+    /// Ids of a kind that pixels have, but for that of nothing.
     pub fn ids(&self, kind: usize) -> BTreeSet<u32> {
         let first = self.layout.values as usize + 1 + 2 * RANKS * kind;
         let ranks = self.channels[first..first + 2 * RANKS].chunks_exact(2);
         let pairs = ranks.flat_map(|rank| rank[0].iter().zip(&rank[1]));
-        pairs.filter(|(_, share)| **share > 0.0).map(|(id, _)| id.to_bits()).collect()
+        pairs.filter(|(_, share)| **share > 0.0).map(|(id, _)| id.to_bits()).filter(|id| *id != 0).collect()
     }
 }

@@ -88,10 +88,12 @@ fn an_image_has_means_over_what_was_met_and_shares_of_the_samples_by_rank() {
             assert!((f64::from(at(value)) - mean).abs() <= 1e-7 * mean.abs() + 1e-6, "{} {mean}", at(value));
         }
         assert_eq!(at(2), all.len() as f32 / count as f32);
-        let share_of = |id: f32| all.iter().filter(|met| met.1[0] == id.to_bits()).count() as f32 / count as f32;
+        let ids: Vec<u32> = (0..count).map(|sample| met(pixel, sample).map_or(0, |met| met.1[0])).collect();
+        let share_of = |id: f32| ids.iter().filter(|other| **other == id.to_bits()).count() as f32 / count as f32;
         let ranks: Vec<(f32, f32)> = (0..RANKS).map(|rank| (at(3 + 2 * rank), at(4 + 2 * rank))).collect();
         assert!(ranks.is_sorted_by(|a, b| a.1 >= b.1), "{ranks:?}");
         assert!(ranks.iter().filter(|rank| rank.1 > 0.0).all(|rank| rank.1 == share_of(rank.0)), "{ranks:?}");
+        assert!(ranks.iter().any(|rank| rank.0 == 0.0 && rank.1 > 0.0), "what met nothing has an id: {ranks:?}");
         assert!(ranks.iter().filter(|rank| rank.1 == 0.0).all(|rank| rank.0 == 0.0), "{ranks:?}");
     }
     let known = (0..15).flat_map(|pixel| (0..count).filter_map(move |sample| met(pixel, sample)));

@@ -8,15 +8,17 @@ use super::{LayerPlan, recorded};
 use crate::render::{RenderError, RenderedTile, spec};
 use crate::settings::Settings;
 use crate::statistics::StatisticsPlan;
+use femc_film::features::RANKS;
 use femc_film::{BesideTile, FeatureLayout, FeatureSums, FeatureTile, Rect};
 use femc_geometry::Ray;
-use femc_layers::Feature;
+use femc_layers::{Feature, cryptomatte};
 use femc_math::{Rgb, SampleStream};
 use femc_montecarlo::first_surface;
 use femc_montecarlo::record::{Both, Contribution, Hears, Leaving, Recorder, Stop, Vertex};
 use femc_paths::Statistics;
 use femc_prepared::camera::View;
 use femc_prepared::{NextFrame, PrepareError, Prepared};
+use femc_scene::Scene;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
@@ -27,6 +29,11 @@ pub struct FeaturePlan {
     seed: u64,
     /// The next frame, where motion is asked for and there is one.
     next: Option<NextFrame>,
+    /// Ids of the scene's objects and materials, where they are asked for.
+    objects: Vec<u32>,
+    materials: Vec<u32>,
+    /// The id of things without a name.
+    unnamed: u32,
 }
 
 impl FeaturePlan {
@@ -39,7 +46,13 @@ impl FeaturePlan {
         }
         let has_motion = features.contains(&Feature::Motion);
         let next = if has_motion { NextFrame::of(prepared, &spec(settings, prepared.frame))? } else { None };
-        Ok(Some(Self { features, seed: settings.seed, next }))
+        let ids = |feature, names: &mut dyn Iterator<Item = &str>| -> Vec<u32> {
+            if features.contains(&feature) { names.map(id_of).collect() } else { Vec::new() }
+        };
+        let objects = ids(Feature::Object, &mut prepared.scene.objects.iter().map(|object| object.name.as_str()));
+        let materials = 0..prepared.materials.len() as u32;
+        let materials = ids(Feature::Material, &mut materials.map(|material| prepared.material_name(material)));
+        Ok(Some(Self { features, seed: settings.seed, next, objects, materials, unnamed: id_of("") }))
     }
 
     /// What a pixel has.
@@ -48,20 +61,53 @@ impl FeaturePlan {
     }
 }
 
+/// The id of a name, or of none.
+fn id_of(name: &str) -> u32 {
+    cryptomatte::id(if name.is_empty() { cryptomatte::UNNAMED } else { name })
+}
+
 /// What a pixel has of these features.
 pub fn feature_layout<'a>(features: impl IntoIterator<Item = &'a Feature>) -> FeatureLayout {
-    let values = features.into_iter().map(|feature| feature.channels().len() as u32).sum();
-    FeatureLayout { values, ids: 0 }
+    features.into_iter().fold(FeatureLayout::default(), |all, feature| FeatureLayout {
+        values: all.values + feature.channels().len() as u32,
+        ids: all.ids + u32::from(feature.matte().is_some()),
+    })
+}
+
+/// Cryptomattes of these features, in the order of their ids: of each its name, and the names in a scene that ids are of, with these.
+pub fn feature_mattes<'a>(
+    features: impl IntoIterator<Item = &'a Feature>,
+    scene: &Scene,
+) -> Vec<(&'static str, Vec<(String, u32)>)> {
+    let with_ids = |names: &mut dyn Iterator<Item = &String>| {
+        let named = names.filter(|name| !name.is_empty()).map(|name| (name.clone(), id_of(name)));
+        named.chain([(cryptomatte::UNNAMED.to_owned(), id_of(""))]).collect()
+    };
+    let of = |feature: &Feature| {
+        let names = match feature {
+            Feature::Object => with_ids(&mut scene.objects.iter().map(|object| &object.name)),
+            Feature::Material => with_ids(&mut scene.materials.iter().map(|material| &material.name)),
+            _ => Vec::new(),
+        };
+        feature.matte().map(|matte| (matte, names))
+    };
+    features.into_iter().filter_map(of).collect()
 }
 
 /// Names of the channels of these features, in the order of [`FeatureImage::channels`](femc_film::FeatureImage::channels).
-pub fn feature_channels<'a>(features: impl IntoIterator<Item = &'a Feature>) -> Vec<String> {
+pub fn feature_channels<'a>(features: impl IntoIterator<Item = &'a Feature> + Clone) -> Vec<String> {
     let names = |feature: &Feature| {
         let name = feature.name();
         feature.channels().iter().map(move |part| format!("{name}.{part}"))
     };
-    let values = features.into_iter().flat_map(names);
-    values.chain(["coverage.A".to_owned()]).collect()
+    // Two ranks in each layer of a Cryptomatte: id, share, id, share.
+    let ranks = |matte: &'static str| {
+        let parts = (0..RANKS / 2).flat_map(|number| ["R", "G", "B", "A"].map(|part| (number, part)));
+        parts.map(move |(number, part)| format!("{matte}{number:02}.{part}"))
+    };
+    let values = features.clone().into_iter().flat_map(names);
+    let mattes = features.into_iter().filter_map(|feature| feature.matte()).flat_map(ranks);
+    values.chain(["coverage.A".to_owned()]).chain(mattes).collect()
 }
 
 /// Sums up the features of the pixels that a tracer renders one after the other.
@@ -73,13 +119,15 @@ struct FeatureRecorder<'a> {
     // Of the sample that is being traced:
     key: [u32; 2],
     values: Vec<f64>,
+    ids: Vec<u32>,
     has_met: bool,
 }
 
 impl<'a> FeatureRecorder<'a> {
     fn new(plan: &'a FeaturePlan, prepared: &'a Prepared) -> Self {
         let sums = FeatureSums::new(plan.layout());
-        Self { plan, prepared, sums, latest: None, key: [0; 2], values: Vec::new(), has_met: false }
+        let (values, ids) = (Vec::new(), Vec::new());
+        Self { plan, prepared, sums, latest: None, key: [0; 2], values, ids, has_met: false }
     }
 }
 
@@ -104,6 +152,7 @@ impl Recorder for FeatureRecorder<'_> {
         self.has_met = first.is_some();
         let Some(first) = first else { return };
         self.values.clear();
+        self.ids.clear();
         for feature in &self.plan.features {
             match feature {
                 Feature::Normal => self.values.extend(first.normal.as_dvec3().to_array()),
@@ -115,6 +164,15 @@ impl Recorder for FeatureRecorder<'_> {
                     let next = self.plan.next.as_ref();
                     let motion = next.and_then(|next| next.motion(prepared, point, (view, lens)));
                     self.values.extend(motion.unwrap_or_default().map(f64::from));
+                }
+                Feature::Object => {
+                    let object = prepared.object_of(first.hit.instance, first.hit.primitive);
+                    let known = object.and_then(|object| self.plan.objects.get(object.index()));
+                    self.ids.push(known.copied().unwrap_or(self.plan.unnamed));
+                }
+                Feature::Material => {
+                    let known = self.plan.materials.get(first.point.material as usize);
+                    self.ids.push(known.copied().unwrap_or(self.plan.unnamed));
                 }
             }
         }
@@ -133,7 +191,7 @@ impl Recorder for FeatureRecorder<'_> {
     fn end(&mut self, color: Option<Rgb>) {
         // What the film refuses counts here neither.
         if color.is_some() {
-            self.sums.add(self.has_met.then_some((&self.values, &[])));
+            self.sums.add(self.has_met.then_some((&self.values, &self.ids)));
         }
     }
 }

@@ -13,7 +13,7 @@
 mod features;
 mod recorder;
 
-pub use features::{FeaturePlan, feature_channels, feature_layout, render_beside};
+pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes, render_beside};
 
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;

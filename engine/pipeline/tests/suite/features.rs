@@ -5,8 +5,8 @@ use femc_film::{BesidePiece, BesideTile, FeatureImage, Rect, Tiling};
 use femc_import::{Bundle, load};
 use femc_math::elementary::double;
 use femc_pipeline::{
-    Feature, FeaturePlan, Layer, LayerPlan, Method, Prepared, Settings, Source, StatisticsPlan, Stop, feature_channels,
-    feature_layout, frame_key, plan, prepare, render_beside, render_tile, render_with_layers,
+    Feature, FeaturePlan, Layer, LayerPlan, Method, Prepared, Settings, Source, StatisticsPlan, Stop, cryptomatte,
+    feature_channels, feature_layout, frame_key, plan, prepare, render_beside, render_tile, render_with_layers,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -268,4 +268,43 @@ fn frames_that_move_on_in_other_ways_are_other_frames_only_where_motion_is_asked
     };
     assert_eq!([1, 2, 3, 4].map(|frame| same(&[Feature::Depth], frame)), [true, true, true, false]);
     assert_eq!([1, 2, 3, 4].map(|frame| same(&[Feature::Motion], frame)), [true, true, false, false]);
+}
+
+/// Ids and shares of a pixel in a Cryptomatte, by rank.
+fn ranks(found: &BTreeMap<String, Vec<f32>>, matte: &str, pixel: usize) -> Vec<(u32, f32)> {
+    let value = |number: usize, part: &str| found[&format!("{matte}{number:02}.{part}")][pixel];
+    let pair = |number, id, share| (value(number, id).to_bits(), value(number, share));
+    (0..3).flat_map(|number| [pair(number, "R", "G"), pair(number, "B", "A")]).collect()
+}
+
+#[test]
+fn objects_and_materials_are_mattes_whose_shares_are_those_of_the_samples() {
+    let settings = settings(&[Feature::Object, Feature::Material, Feature::Depth], 256);
+    let board = sheet("left.board", "matte", [-9.0, -9.0, 0.25, 9.0], 0.0);
+    // What is in no object, and has a material without a name; of the sixth column the second half, and more.
+    let bare = "m\n\trd .2\nv a =\n\tp 100.75 0 0\nv b =\n\tp 109 0 0\nv c =\n\tp 109 40 0\nv d =\n\tp 100.75 40 0\nf a b c d\n";
+    let text = format!("{DOWN}{MATTE}o left\n{}o\n{bare}{LAMP}", board.replace("left.board", "board"));
+    let found = features(&text, &settings, 1);
+    let id = cryptomatte::id;
+    let default = id("default");
+    for y in 0..8 {
+        let mut covers = Vec::new();
+        for (x, object, material) in [(2, "left.board", "matte"), (4, "left.board", "matte"), (6, "default", "default")]
+        {
+            let [objects, materials] = ["crypto_object", "crypto_material"].map(|matte| ranks(&found, matte, at(x, y)));
+            for (ranks, name) in [(&objects, object), (&materials, material)] {
+                let sum: f32 = ranks.iter().map(|rank| rank.1).sum();
+                assert_eq!(sum, 1.0, "{ranks:?}");
+                let share: f32 = ranks.iter().filter(|rank| rank.0 == id(name)).map(|rank| rank.1).sum();
+                let cover = found["coverage.A"][at(x, y)];
+                assert_eq!(share, cover, "{name} {x} {ranks:?}");
+                let nothing: f32 = ranks.iter().filter(|rank| rank.0 == 0).map(|rank| rank.1).sum();
+                assert_eq!(nothing, 1.0 - cover, "{ranks:?}");
+                covers.push(cover);
+            }
+        }
+        assert_eq!([covers[0], covers[4]], [1.0, 1.0]);
+        assert!((covers[2] - 0.5).abs() <= 4.0 / 256.0, "{covers:?}");
+    }
+    assert_ne!(default, id("left.board"));
 }

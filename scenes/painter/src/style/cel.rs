@@ -4,9 +4,8 @@
 use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Line, Near, levels, outlines};
 use crate::sight::luma;
-use crate::{Sight, chance};
+use crate::{Sight, chance, chance::Place};
 use femc_film::Picture;
-use femc_math::hash::combine;
 
 const INK: [f32; 3] = [0.09, 0.07, 0.13];
 /// Light below which a thing is in half shadow, and in shadow.
@@ -61,9 +60,9 @@ impl Cel<'_> {
             Tone::Full
         } else if lit > SHADOW {
             Tone::Half
-        } else if bounce > 0.085 {
+        } else if bounce > 0.20 {
             Tone::Reflected
-        } else if bounce < 0.0095 && lit < 0.06 {
+        } else if bounce < 0.06 && lit < 0.06 {
             Tone::Deep
         } else {
             Tone::Shadow
@@ -73,7 +72,7 @@ impl Cel<'_> {
     fn color(&self, at: usize, tone: Tone) -> [f32; 3] {
         let local = self.sight.local[at];
         let gray = luma(local);
-        let rich = local.map(|c| (gray + 2.1 * (c - gray)).clamp(0.02, 1.0));
+        let rich = local.map(|c| (gray + 2.4 * (c - gray)).clamp(0.02, 1.0));
         let tinted = |tint: [f32; 3], much: f32, bright: f32| mix(rich.map(|c| bright * c), tint, much);
         match tone {
             Tone::Shine => [1.0, 0.99, 0.95],
@@ -111,15 +110,8 @@ impl Cel<'_> {
     /// Strokes of a flat brush within each tone, a little lighter or darker.
     fn brush(&mut self) {
         let sight = self.sight;
-        let step = 5.0;
-        let columns = (sight.width as f32 / step) as u64 + 1;
-        let rows = (sight.height as f32 / step) as u64 + 1;
-        let mut seeds: Vec<u64> = (0..columns * rows).collect();
-        seeds.sort_by_key(|&seed| combine(&[30, seed]));
-        for seed in seeds {
-            let word = |word: u64| chance::signed(&[31, seed, word]);
-            let x = ((seed % columns) as f32 + 0.5 + 0.5 * word(1)) * step;
-            let y = ((seed / columns) as f32 + 0.5 + 0.5 * word(2)) * step;
+        for Place { key, x, y } in chance::places(30, sight.width, sight.height, 5.0) {
+            let word = |word: u64| chance::signed(&[key, word]);
             let (tone, at) = (self.tone(x, y), sight.at(x, y));
             if tone == Tone::Shine {
                 continue;
@@ -138,7 +130,7 @@ impl Cel<'_> {
             let (light, warm) = (0.05 * word(5), 0.025 * word(6));
             let color = self.color(at, tone);
             let paint = [color[0] + light + warm, color[1] + light, color[2] + light - warm];
-            let key = combine(&[32, seed]) as u32;
+            let key = key as u32;
             let touches = self.canvas.touched(&dabs);
             for touch in touches {
                 let hair = chance::noise(key, 3.5 * touch.across, touch.along / 14.0);

@@ -4,7 +4,7 @@
 
 use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Near, STEP, outlines};
-use crate::{Sight, chance};
+use crate::{Sight, chance, chance::Place};
 use femc_film::Picture;
 use femc_math::elementary::pow;
 
@@ -74,7 +74,7 @@ fn tooth(x: f32, y: f32) -> f32 {
 fn darkness(sight: &Sight) -> Vec<f32> {
     let value = |at: usize| {
         let local = 0.6 + 0.4 * crate::sight::luma(sight.local[at]);
-        let lit = local * (0.5 * (sight.light[at] + sight.lit[at]) + 1.6 * sight.bounce[at]);
+        let lit = local * (0.5 * (sight.light[at] + sight.lit[at]) + 0.6 * sight.bounce[at]);
         (1.06 - 1.08 * pow(lit.max(0.0), 0.62) - 1.2 * sight.gloss[at]).clamp(0.0, 1.0)
     };
     sight.blurred(&(0..sight.tone.len()).map(value).collect::<Vec<_>>(), 1)
@@ -95,12 +95,8 @@ fn direction(sight: &Sight, layer: &Layer, x: f32, y: f32) -> [f32; 2] {
 fn hatch(canvas: &mut Canvas, sight: &Sight, dark: &[f32], number: u64, layer: &Layer) {
     let step = 1.5;
     let mut taken = Near::new(sight.width, sight.height, layer.apart);
-    let mut seeds: Vec<u64> = (0..(sight.width * sight.height / 4) as u64).collect();
-    seeds.sort_by_key(|&seed| femc_math::hash::combine(&[40, number, seed]));
-    let columns = (sight.width / 2) as u64;
-    for seed in seeds {
-        let word = |word: u64| chance::signed(&[41, number, seed, word]);
-        let (x, y) = (2.0 * (seed % columns) as f32 + 1.0 + word(1), 2.0 * (seed / columns) as f32 + 1.0 + word(2));
+    for Place { key, x, y } in chance::places(40 + number, sight.width, sight.height, 2.0) {
+        let word = |word: u64| chance::signed(&[key, word]);
         let object = sight.object[sight.at(x, y)];
         // The hand begins and ends a little early or late.
         let enough = layer.from + 0.07 * word(3);

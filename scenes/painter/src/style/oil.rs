@@ -3,9 +3,8 @@
 
 use crate::canvas::{Canvas, Dab, FINE, follow, mix, ramp};
 use crate::sight::luma;
-use crate::{Sight, chance};
+use crate::{Sight, chance, chance::Place};
 use femc_film::Picture;
-use femc_math::hash::combine;
 
 /// What the canvas is primed with, and shows between strokes.
 const GROUND: [f32; 3] = [0.47, 0.31, 0.22];
@@ -64,17 +63,17 @@ fn wanted(sight: &Sight) -> Vec<[f32; 3]> {
         let local = sight.local[at];
         // More color than there is.
         let gray = luma(local);
-        let rich = local.map(|c| (gray + 1.45 * (c - gray)).clamp(0.02, 1.0));
+        let rich = local.map(|c| (gray + 1.9 * (c - gray)).clamp(0.02, 1.0));
         let light = 0.5 * (sight.light[at] + sight.lit[at]);
         let lit = ramp(0.02, 0.85, light);
         let shade = mix(rich.map(|c| 0.42 * c), COLD, 0.58);
         let half = std::array::from_fn(|i| rich[i] * [0.78, 0.66, 0.60][i]);
         let full = std::array::from_fn(|i| (rich[i] * 1.10 * LIT[i]).min(1.0));
         let base = if lit < 0.5 { mix(shade, half, 2.0 * lit) } else { mix(half, full, 2.0 * lit - 1.0) };
-        let glow = (1.0 - 0.8 * lit) * ramp(0.02, 0.14, sight.bounce[at]) * 0.60;
+        let glow = (1.0 - 0.8 * lit) * ramp(0.08, 0.30, sight.bounce[at]) * 0.60;
         let warmed = std::array::from_fn(|i| base[i] + glow * GLOW[i] * (0.35 + rich[i]));
         // Where no light comes to it is nearly black.
-        let deep = ramp(0.16, 0.02, light + 3.0 * sight.bounce[at]);
+        let deep = ramp(0.30, 0.08, light + 2.0 * sight.bounce[at]);
         let color = mix(warmed, [0.09, 0.07, 0.15], 0.6 * deep);
         mix(color, [1.0, 0.985, 0.93], ramp(0.25, 0.95, sight.gloss[at]))
     };
@@ -99,15 +98,8 @@ impl Painting<'_> {
         let sight = self.sight;
         let seen = self.seen_by(brush.radius);
         let tone: Vec<f32> = seen.iter().map(|&color| luma(color)).collect();
-        let step = brush.radius * 1.05;
-        let columns = (sight.width as f32 / step) as u64 + 2;
-        let rows = (sight.height as f32 / step) as u64 + 2;
-        let mut seeds: Vec<u64> = (0..columns * rows).collect();
-        seeds.sort_by_key(|&seed| combine(&[20, number, seed]));
-        for seed in seeds {
-            let word = |word: u64| chance::signed(&[21, number, seed, word]);
-            let x = ((seed % columns) as f32 + 0.5 * word(1)) * step;
-            let y = ((seed / columns) as f32 + 0.5 * word(2)) * step;
+        for Place { key, x, y } in chance::places(20 + number, sight.width, sight.height, 1.05 * brush.radius) {
+            let word = |word: u64| chance::signed(&[key, word]);
             let at = sight.at(x, y);
             if self.unlike(&seen, x, y, brush.radius) < brush.unlike {
                 continue;
@@ -132,7 +124,7 @@ impl Painting<'_> {
                     Dab { x, y, radius: brush.radius * pressed * (0.92 + 0.12 * word(4)) }
                 })
                 .collect();
-            self.stroke(&dabs, self.mixed(color, brush.broken, &word), brush, combine(&[22, number, seed]));
+            self.stroke(&dabs, self.mixed(color, brush.broken, &word), brush, key);
         }
     }
 
@@ -216,19 +208,13 @@ impl Painting<'_> {
     fn glance(&mut self) {
         let sight = self.sight;
         let brush = Brush { radius: 2.6, long: 3.0, unlike: 0.0, broken: 0.02, body: 1.8 };
-        let step = 4.0;
-        let columns = (sight.width as f32 / step) as u64;
-        let rows = (sight.height as f32 / step) as u64;
-        for seed in 0..columns * rows {
-            let word = |word: u64| chance::signed(&[23, seed, word]);
-            let x = ((seed % columns) as f32 + 0.5 + 0.3 * word(1)) * step;
-            let y = ((seed / columns) as f32 + 0.5 + 0.3 * word(2)) * step;
+        for Place { key, x, y } in chance::places(28, sight.width, sight.height, 4.0) {
             if sight.smooth(&sight.gloss, x, y) < 0.72 {
                 continue;
             }
             let line = follow([x, y], 1.0, |_, _| [1.0, -0.8], |_, _, n| n < 4);
             let dabs: Vec<Dab> = line.iter().map(|&[x, y]| Dab { x, y, radius: brush.radius }).collect();
-            self.stroke(&dabs, [1.0, 0.99, 0.94], &brush, combine(&[24, seed]));
+            self.stroke(&dabs, [1.0, 0.99, 0.94], &brush, key);
         }
     }
 

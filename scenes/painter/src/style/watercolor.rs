@@ -2,13 +2,11 @@
 //! paper, wet paint runs into wet paint, backruns bloom (\[curtis1997\] tells of all these); highlights and thin gaps between things are
 //! left white.
 
-use crate::canvas::{Canvas, Dab, follow, ramp};
+use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Near, outlines};
-use crate::sight::luma;
-use crate::{Sight, chance};
+use crate::{Sight, chance, chance::Place};
 use femc_film::Picture;
-use femc_math::elementary::{exp, ln};
-use femc_math::hash::combine;
+use femc_math::elementary::{exp, ln, pow};
 
 const PAPER: [f32; 3] = [0.985, 0.975, 0.945];
 const GRAPHITE: [f32; 3] = [0.55, 0.54, 0.55];
@@ -16,6 +14,7 @@ const GRAPHITE: [f32; 3] = [0.55, 0.54, 0.55];
 const ULTRAMARINE: [f32; 3] = [0.26, 0.34, 0.66];
 const VIOLET: [f32; 3] = [0.50, 0.36, 0.58];
 const SIENNA: [f32; 3] = [0.92, 0.50, 0.24];
+const OCHRE: [f32; 3] = [0.97, 0.82, 0.58];
 const INDIGO: [f32; 3] = [0.16, 0.18, 0.32];
 
 /// Paints.
@@ -160,14 +159,15 @@ impl<'a> Sheet<'a> {
         (0..self.object.len()).map(inside).collect()
     }
 
-    /// The color of the thing itself, as a pigment.
+    /// The color of the thing itself, as a pigment: with a little ochre in all of them, so that light differs more than things do.
     fn pigment(&self, object: u8) -> [f32; 3] {
         let mut sum = [0.0f32; 3];
         let of_it = self.sight.object.iter().zip(&self.sight.local).filter(|(o, _)| **o == object);
         let count = of_it.map(|(_, color)| (0..3).for_each(|i| sum[i] += color[i])).count().max(1);
         let mean = sum.map(|c| c / count as f32);
-        let (most, gray) = (mean.into_iter().fold(0.05, f32::max), luma(mean));
-        mean.map(|c| ((gray + 2.1 * (c - gray)) / most).clamp(0.10, 0.99))
+        let most = mean.into_iter().fold(0.0, f32::max);
+        let own = mean.map(|c| pow((c + 0.12) / (most + 0.12), 2.3).clamp(0.10, 0.99));
+        mix(own, OCHRE, 0.4)
     }
 
     fn first_wash(&mut self, object: u8) {
@@ -192,7 +192,7 @@ impl<'a> Sheet<'a> {
         let round = sight.curved[usize::from(object)] > 0.05;
         self.lay(&wash, &inside, |_, x, y| {
             let (lit, thrown) = (sight.smooth(&light, x, y), sight.smooth(&bounce, x, y));
-            let dark = (1.0 - lit - 2.0 * thrown).clamp(0.0, 1.0);
+            let dark = (1.0 - lit - thrown).clamp(0.0, 1.0);
             if round { 0.42 + 0.55 * dark } else { 0.50 + 0.45 * dark }
         });
     }
@@ -232,7 +232,7 @@ impl<'a> Sheet<'a> {
             let inside = self.of(object, |at, _, _| lit[at] < below);
             let bounce = self.bounce.clone();
             let sight = self.sight;
-            self.lay(&wash, &inside, |_, x, y| density * (1.15 - 6.5 * sight.smooth(&bounce, x, y)).clamp(0.3, 1.1));
+            self.lay(&wash, &inside, |_, x, y| density * (1.15 - 2.6 * sight.smooth(&bounce, x, y)).clamp(0.3, 1.1));
         }
     }
 
@@ -244,7 +244,7 @@ impl<'a> Sheet<'a> {
         let inside = self.of(object, |at, _, _| lit[at] < 0.6);
         let (bounce, sight) = (self.bounce.clone(), self.sight);
         self.lay(&wash, &inside, |at, x, y| {
-            0.9 * ramp(0.03, 0.13, sight.smooth(&bounce, x, y)) * ramp(0.6, 0.2, lit[at])
+            0.7 * ramp(0.10, 0.30, sight.smooth(&bounce, x, y)) * ramp(0.6, 0.2, lit[at])
         });
     }
 
@@ -261,13 +261,8 @@ impl<'a> Sheet<'a> {
         let sight = self.sight;
         let lying = self.lies(object);
         let absorbed = self.pigment(object).map(|c| -ln(c.clamp(0.02, 0.995)));
-        let step = 9.0;
-        let columns = (sight.width as f32 / step) as u64 + 2;
-        let rows = (sight.height as f32 / step) as u64 + 2;
-        for seed in 0..columns * rows {
-            let word = |word: u64| chance::signed(&[85, object.into(), seed, word]);
-            let x = ((seed % columns) as f32 + 0.7 * word(1)) * step;
-            let y = ((seed / columns) as f32 + 0.7 * word(2)) * step;
+        for Place { key, x, y } in chance::places(1000 + u64::from(object), sight.width, sight.height, 9.0) {
+            let word = |word: u64| chance::signed(&[key, word]);
             if word(3) < -0.2 || sight.object[sight.at(x, y)] != object {
                 continue;
             }
@@ -299,15 +294,11 @@ impl<'a> Sheet<'a> {
     fn strokes(&mut self) {
         let sight = self.sight;
         let mut taken = Near::new(sight.width, sight.height, 6.5);
-        let mut seeds: Vec<u64> = (0..(sight.width * sight.height / 9) as u64).collect();
-        seeds.sort_by_key(|&seed| combine(&[75, seed]));
-        let columns = (sight.width / 3) as u64;
-        for seed in seeds {
-            let word = |word: u64| chance::signed(&[76, seed, word]);
-            let (x, y) = (3.0 * (seed % columns) as f32 + 1.5 * word(1), 3.0 * (seed / columns) as f32 + 1.5 * word(2));
+        for Place { key, x, y } in chance::places(75, sight.width, sight.height, 3.0) {
+            let word = |word: u64| chance::signed(&[key, word]);
             let (lit, thrown) = self.lit(x, y);
-            let dark = (1.0 - lit - 2.0 * thrown).max(0.0);
-            if chance::unit(&[77, seed]) > ramp(0.12, 0.6, dark)
+            let dark = (1.0 - lit - thrown).max(0.0);
+            if chance::unit(&[key, 8]) > ramp(0.12, 0.6, dark)
                 || sight.smooth(&sight.gloss, x, y) > 0.1
                 || !taken.free(x, y, 0.0)
             {
@@ -324,7 +315,7 @@ impl<'a> Sheet<'a> {
                     false => [0.8, -0.7 + 0.4 * word(3)],
                 }
             };
-            let longest = 2.0 + 5.0 * chance::unit(&[78, seed]);
+            let longest = 2.0 + 5.0 * chance::unit(&[key, 9]);
             let line =
                 follow([x, y], 1.5, direction, |x, y, n| n as f32 <= longest && sight.object[sight.at(x, y)] == object);
             line.iter().for_each(|p| taken.take(p[0], p[1]));
@@ -361,8 +352,8 @@ impl<'a> Sheet<'a> {
             lit + 4.0 * thrown + 0.015 * chance::cloud(510, x / 8.0, y / 8.0, 2)
         });
         for object in 0..self.sight.curved.len() as u8 {
-            let inside = self.of(object, |at, _, _| dim[at] < 0.13);
-            self.lay(&wash, &inside, |at, _, _| 0.6 * ramp(0.13, 0.04, dim[at]));
+            let inside = self.of(object, |at, _, _| dim[at] < 0.38);
+            self.lay(&wash, &inside, |at, _, _| 0.6 * ramp(0.38, 0.16, dim[at]));
         }
     }
 }

@@ -1,3 +1,4 @@
 //! The painter and what it has painted.
 
+mod sight;
 mod styles;

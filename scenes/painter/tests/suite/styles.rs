@@ -62,6 +62,30 @@ fn each_style_paints_a_small_render_at_its_size_and_no_two_alike() {
 }
 
 #[test]
+fn any_size_and_any_values_are_painted_without_a_panic() {
+    let odd = [f32::NAN, f32::INFINITY, -1.0, 0.0, 1e30, 5.0];
+    for (width, height) in [(1, 1), (1, 40), (37, 2), (9, 9)] {
+        let color = |at: usize| [0, 1, 2].map(|i| odd[(at * 7 + i * at) % odd.len()]);
+        let plane = || (0..width * height).map(color).collect::<Vec<_>>();
+        let mut guides = Guides {
+            width: width as u32,
+            height: height as u32,
+            layers: [plane(), plane(), plane(), plane(), plane()],
+            albedo: plane(),
+            depth: (0..width * height).map(|at| odd[at % odd.len()]).collect(),
+        };
+        guides.layers[1][0] = [8.0; 3];
+        guides.albedo[0] = [0.5; 3];
+        // Whatever is seen in it, or that nothing is.
+        let Ok(sight) = Sight::of(&guides) else { continue };
+        for style in STYLES {
+            let picture = (style.paint)(&sight);
+            assert_eq!((picture.pixels.len(), picture.width), (width * height, width as u32), "{}", style.name);
+        }
+    }
+}
+
+#[test]
 fn guides_come_back_from_their_file_within_the_precision_of_halves() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("small.exr");

@@ -1,0 +1,68 @@
+//! Frames in a painted style, beside them: `FRAME.painted.png`.
+
+use super::layers_of;
+use crate::args::SettingsArgs;
+use crate::command::stylize::{Order, Painted};
+use crate::exit::{Failure, failed, usage};
+use crate::output::Say;
+use crate::values::{Exposure, Style};
+use clap::Args;
+use femc_film::{Levels, exr};
+use femc_stylize::Settings;
+use std::path::{Path, PathBuf};
+
+/// How frames are painted; `femc stylize` has more to say, and paints frames that are there.
+#[derive(Clone, Debug, Default, Args)]
+#[command(next_help_heading = "Painting")]
+pub struct PaintingArgs {
+    /// Paint each frame, too, as FRAME.painted.png: hatching, watercolor, oil, cel, or a painting of --style-source (`femc stylize`)
+    #[arg(long, value_name = "STYLE")]
+    pub style: Option<PathBuf>,
+    /// The render that the painting lies over [default: that of the styles that come with femc]
+    #[arg(long, value_name = "A.exr", requires = "style")]
+    pub style_source: Option<PathBuf>,
+    /// How much the painting of a clip may change where the frames do not, from 0 (nothing) to 1 (each frame is painted anew)
+    /// [default: 0.2]
+    #[arg(long, value_name = "PART", requires = "style")]
+    pub boil: Option<f32>,
+}
+
+/// Guides, and what says how one frame goes over into the next.
+const LAYERS: [&str; 3] = ["guides", "motion", "depth"];
+
+/// Asks for the layers that painting reads, where they are not asked for.
+pub fn ask_for_layers(settings: &mut SettingsArgs) {
+    let missing = LAYERS.into_iter().filter(|name| !settings.layers.iter().any(|asked| asked.trim() == *name));
+    let missing: Vec<String> = missing.map(str::to_owned).collect();
+    settings.layers.extend(missing);
+}
+
+impl PaintingArgs {
+    /// The style, read before anything is rendered.
+    pub fn style(&self) -> Result<Option<Style>, Failure> {
+        if let Some(boil) = self.boil.filter(|boil| !(0.0..=1.0).contains(boil)) {
+            return Err(usage(format!("--boil {boil}: give a number from 0 to 1")));
+        }
+        self.style.as_deref().map(|style| Style::read(style, self.style_source.as_deref())).transpose()
+    }
+
+    /// Paints the frames, in their order.
+    pub fn paint(&self, style: &Style, files: &[String], exposure: Exposure, say: Say) -> Result<Vec<String>, Failure> {
+        if files.is_empty() {
+            return Ok(Vec::new());
+        }
+        let targets: Vec<PathBuf> = files.iter().map(|file| layers_of(file.as_ref())).collect();
+        let outputs: Vec<PathBuf> = files.iter().map(|file| Path::new(file).with_extension("painted.png")).collect();
+        let mut levels = Levels::default();
+        if exposure == Exposure::Auto {
+            for target in &targets {
+                levels.merge(&Levels::of_image(&exr::read(target).map_err(failed)?.image));
+            }
+        }
+        let settings = Settings { boil: self.boil.unwrap_or(Settings::default().boil), ..Settings::default() };
+        let curve = exposure.curve(&levels);
+        let Painted { frames, .. } =
+            Order { style, guides: &[], curve, settings, threads: 0 }.paint(&targets, &outputs, say)?;
+        Ok(frames.into_iter().map(|row| row.image).collect())
+    }
+}

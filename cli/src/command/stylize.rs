@@ -276,9 +276,9 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
         StylizeError::Balance(balance) => usage(format!("--balance {balance}: give a number from 0 on")),
         StylizeError::Boil(boil) => usage(format!("--boil {boil}: give a number from 0 to 1")),
         StylizeError::Patch(patch) => usage(format!("--patch {patch}: give an odd number from 3 to 15")),
-        StylizeError::Levels { most: 0, patch, .. } => usage(format!(
-            "source or {path} has fewer than {patch} rows or columns, the width of a patch; see --patch"
-        )),
+        StylizeError::Levels { most: 0, patch, .. } => {
+            usage(format!("source or {path} has fewer than {patch} rows or columns, the width of a patch; see --patch"))
+        }
         StylizeError::Levels { levels, most, patch } => {
             usage(format!("--levels {levels}: images of this size and patches of {patch} pixels allow 1 to {most}"))
         }

@@ -31,8 +31,9 @@ impl GuideFrame {
 
     /// What may guide: layers of light, or, without any, the picture, whose name is empty.
     pub fn names(&self) -> Vec<&str> {
-        // Albedo is a color, and no light.
-        let layers: Vec<&str> = self.channels.colors().into_iter().filter(|name| *name != "albedo").collect();
+        // Albedo is a color, and no light; a Cryptomatte has ids and shares in channels of such names.
+        let is_light = |name: &&str| *name != "albedo" && !name.starts_with("crypto_");
+        let layers: Vec<&str> = self.channels.colors().into_iter().filter(is_light).collect();
         if layers.is_empty() && self.channels.color("").is_some() { vec![""] } else { layers }
     }
 
@@ -92,4 +93,23 @@ pub fn picture(image: &Planes) -> Picture {
     let pixels = image.values().as_chunks().0.iter().map(|pixel| pixel.map(byte)).collect();
     let [width, height] = image.size();
     Picture { width, height, pixels }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use femc_film::exr::{NamedChannel, Precision, encode_named};
+    use std::collections::BTreeMap;
+    use std::io::Cursor;
+
+    #[test]
+    fn layers_of_light_guide_and_what_the_camera_sees_first_does_not() {
+        let names = ["direct.R", "direct.G", "direct.B", "albedo.R", "albedo.G", "albedo.B", "normal.X", "coverage.A"];
+        let mattes = ["R", "G", "B", "A"].map(|part| format!("crypto_object00.{part}"));
+        let names: Vec<&str> = names.into_iter().chain(mattes.iter().map(String::as_str)).collect();
+        let channel = |name| NamedChannel { name, values: &[0.5], precision: Precision::Float };
+        let channels: Vec<NamedChannel<'_>> = names.into_iter().map(channel).collect();
+        let bytes = encode_named([1, 1], &channels, &BTreeMap::new()).unwrap();
+        assert_eq!(GuideFrame::decode(Cursor::new(bytes)).unwrap().names(), ["direct"]);
+    }
 }

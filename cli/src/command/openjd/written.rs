@@ -84,7 +84,9 @@ impl Written {
     }
 
     fn of(args: RenderArgs) -> Self {
-        let RenderArgs { scene, out, exposure, report, fresh, extras, format, settings, replay: _, watch: _ } = args;
+        let RenderArgs {
+            scene, out, exposure, report, fresh, painting, extras, format, settings, replay: _, watch: _
+        } = args;
         let ExtrasArgs { video, preview, contact_sheet } = extras;
         let flags = [
             ("--out", out.is_some()),
@@ -98,6 +100,7 @@ impl Written {
             ("--root", settings.root.is_some()),
             ("--layer", !settings.layer.is_empty()),
             ("--layers", !settings.layers.is_empty()),
+            ("--style", painting.style.is_some()),
         ];
         let SettingsArgs { frames, workers, threads, stats, .. } = settings;
         let changes = Change::all(&SettingsArgs { frames: None, ..settings });

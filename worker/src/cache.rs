@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
-use femc_pipeline::{Aimed, Field, FrameKey, Prepared, Settings, Settled, Source};
+use femc_pipeline::{Aimed, Field, FrameKey, Layer, LayerPlan, Prepared, Settings, Settled, Source};
 use femc_proto::Client;
 use femc_scene::Scene;
 
@@ -67,6 +67,8 @@ struct Shelves {
     scenes: Shelf<Digest, Arc<Read>>,
     /// Frames by what they are made from, and by the light that they have of a first pass, if of any.
     frames: Shelf<(FrameKey, Option<Digest>), Arc<Prepared>>,
+    /// Layers of frames, compiled: a frame's tiles have them in common.
+    layers: Shelf<(FrameKey, Vec<Layer>), Arc<LayerPlan>>,
     /// Lights of first passes, of lamps of brightness 1; and as bright as those of frames are, by that.
     fields: Shelf<Digest, Arc<Field>>,
     brightened: Shelf<(Digest, u32), Arc<Field>>,
@@ -108,6 +110,7 @@ impl Cache {
             sources: Shelf::new(sources),
             scenes: Shelf::new(Self::SCENES),
             frames: Shelf::new(frames),
+            layers: Shelf::new(frames),
             fields: Shelf::new(Self::FIELDS),
             brightened: Shelf::new(Self::FIELDS),
             aimed: Shelf::new(1),
@@ -174,6 +177,24 @@ impl Cache {
             return Err(Failure::Settings { message: message.into() });
         }
         self.prepared(read, frame, light, client, fetch)
+    }
+
+    /// The layers of a frame that is ready, compiled; `None`: the job asks for none.
+    pub(crate) fn layers(
+        &self,
+        read: &Read,
+        frame: u32,
+        prepared: &Prepared,
+    ) -> Result<Option<Arc<LayerPlan>>, Failure> {
+        if read.settings.layers.is_empty() {
+            return Ok(None);
+        }
+        let key = (read.frame_key(frame)?, read.settings.layers.clone());
+        let plan = self.0.layers.get_or(key, || {
+            let plan = LayerPlan::of(prepared, &read.settings);
+            plan.map(Arc::new).map_err(|error| Failure::Settings { message: error.to_string() })
+        });
+        plan.map(Some)
     }
 
     /// The world that the first pass of a frame is of.

@@ -4,9 +4,7 @@ use std::sync::atomic::Ordering;
 
 use femc_film::Rect;
 use femc_model::{Failure, Phase, Role, Template, TileRect, Work};
-use femc_pipeline::{
-    FeaturePlan, LayerPlan, RenderError, StatisticsPlan, render_beside, render_tile, render_with_statistics,
-};
+use femc_pipeline::{FeaturePlan, RenderError, StatisticsPlan, render_beside, render_tile, render_with_statistics};
 
 use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
@@ -35,10 +33,9 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         let statistics = makes(Role::Paths).then(|| StatisticsPlan::of(&prepared, settings, grid.tile));
         let outcome = match (makes(Role::Layers), &statistics) {
             (true, of) => {
-                let has_light = !settings.layers.is_empty();
-                let light = has_light.then(|| LayerPlan::of(&prepared, settings)).transpose().map_err(unfit)?;
+                let light = tools.cache.layers(&read, key.stage.frame, &prepared)?;
                 let features = FeaturePlan::of(&prepared, settings).map_err(unfit)?;
-                let plans = (light.as_ref(), features.as_ref());
+                let plans = (light.as_deref(), features.as_ref());
                 render_beside(&prepared, settings, plans, of.as_ref(), rect, range, cancel, units)
                     .map(|(rendered, beside, of)| (rendered, of, Some(beside)))
             }

@@ -25,7 +25,7 @@ pub(super) struct LayerRecorder<'a> {
     done: Pixels,
     /// The pixel that is being rendered: its light by [`Takers`] and half, and its samples.
     latest: Option<u32>,
-    pixel: Vec<LightBuffer>,
+    pixel: PixelLight,
     count: [u32; HALVES],
     // Of the sample that is being traced:
     half: usize,
@@ -42,6 +42,13 @@ pub(super) struct Pixels {
     pub(super) count: Vec<[u32; HALVES]>,
     /// By [`Takers`]; what is missing at the end of one has no light.
     pub(super) light: Vec<Vec<LightSums>>,
+}
+
+/// Light of the samples of one pixel by [`Takers`], and those who have some.
+struct PixelLight {
+    light: Vec<LightBuffer>,
+    lit: Vec<Takers>,
+    is_lit: Vec<bool>,
 }
 
 /// What a path has done.
@@ -87,7 +94,7 @@ impl<'a> LayerRecorder<'a> {
             prepared,
             done: Pixels { count: Vec::new(), light: vec![Vec::new(); sets] },
             latest: None,
-            pixel: vec![LightBuffer::default(); sets],
+            pixel: PixelLight { light: vec![LightBuffer::default(); sets], lit: Vec::new(), is_lit: vec![false; sets] },
             count: [0; HALVES],
             half: 0,
             labels: plan.plain,
@@ -114,8 +121,10 @@ impl<'a> LayerRecorder<'a> {
         }
         let before = self.done.count.len();
         self.done.count.push(std::mem::take(&mut self.count));
-        for (light, done) in self.pixel.iter_mut().zip(&mut self.done.light) {
-            if let Some(sums) = light.take() {
+        for takers in self.pixel.lit.drain(..).map(usize::from) {
+            self.pixel.is_lit[takers] = false;
+            if let Some(sums) = self.pixel.light[takers].take() {
+                let done = &mut self.done.light[takers];
                 done.resize(before, LightSums::default());
                 done.push(sums);
             }
@@ -182,10 +191,15 @@ impl<'a> LayerRecorder<'a> {
 
 /// Adds light of a sample to what layers take together.
 #[inline(always)]
-fn add(pixel: &mut [LightBuffer], takers: Takers, half: usize, light: Rgb) {
-    if takers != NO_LAYERS {
-        pixel[usize::from(takers)].add(half, light);
+fn add(pixel: &mut PixelLight, takers: Takers, half: usize, light: Rgb) {
+    if takers == NO_LAYERS {
+        return;
     }
+    if !pixel.is_lit[usize::from(takers)] {
+        pixel.is_lit[usize::from(takers)] = true;
+        pixel.lit.push(takers);
+    }
+    pixel.light[usize::from(takers)].add(half, light);
 }
 
 /// Events of a surface's lobes: diffuse, glossy.

@@ -159,6 +159,32 @@ fn frames_of_a_clip_hold_on_to_what_was_painted_where_motion_says_it_went() {
 }
 
 #[test]
+fn a_clip_that_was_cut_off_goes_on_to_the_same_bytes() {
+    let place = place();
+    let line = "stylize --style oil --target";
+    for frame in 0..4u32 {
+        let light = glow([40 + 9 * frame, 50]);
+        write_layers(&place, &format!("k-{frame}.exr"), [160, 120], light, &[("full", 1.0)]);
+    }
+    place.run(&format!("{line} k-*.exr -o whole/")).exits(0);
+    let mut running = place.start_as("paint", &format!("{line} k-*.exr -o cut/"));
+    running.wait_until("two frames are painted", || place.path("cut/k-1.png").exists());
+    running.kill();
+    assert!(place.path("cut.part").exists(), "what is done is kept");
+    // Another style is another run.
+    std::fs::copy(place.path("cut.part"), place.path("other.part")).expect("a copy");
+    place.run("stylize --style cel --target k-*.exr -o other/").exits(0);
+    let ran = place.run(&format!("{line} k-*.exr -o cut/")).exits(0);
+    assert!(ran.stderr().contains("going on, "), "{}", ran.stderr());
+    assert!(!place.path("cut.part").exists() && !place.path("other.part").exists());
+    for frame in 0..4 {
+        let [whole, cut, other] = ["whole", "cut", "other"].map(|run| picture(&place, &format!("{run}/k-{frame}.png")));
+        assert!(whole == cut, "frame {frame} differs");
+        assert!(whole != other, "frame {frame} is of another style");
+    }
+}
+
+#[test]
 fn frames_are_painted_when_they_are_rendered() {
     let place = place();
     let line = "render fog.mgf -o clip --frames 1..2 --size 24x16 --spp 4";

@@ -70,6 +70,9 @@ pub enum StylizeError {
         /// Columns and rows of the target.
         target: [u32; 2],
     },
+    /// What was begun is not of these images and settings.
+    #[error("what was begun is not of these images")]
+    Begun,
     /// The width of patches is even or out of range.
     #[error("patch {0} is no odd number from 3 to 15")]
     Patch(usize),

@@ -18,6 +18,11 @@ impl Grid {
         Self { columns: width + 1 - patch, rows: height + 1 - patch, patch }
     }
 
+    /// The same of an image that is large enough.
+    pub(crate) fn of(image: &Planes, patch: usize) -> Self {
+        Self::new(image.width(), image.height(), patch)
+    }
+
     /// Number of patches, at least 1.
     pub fn count(&self) -> usize {
         self.columns * self.rows

@@ -40,4 +40,4 @@ pub use patches::{Patches, Weights};
 pub use planes::Planes;
 pub use search::search;
 pub use settings::{Method, Settings};
-pub use synthesis::{Example, Progress, Stylized, stylize};
+pub use synthesis::{Begun, Example, Progress, Stylized, Watch, stylize};

@@ -29,6 +29,26 @@ pub struct Progress {
     pub fraction: f64,
 }
 
+/// What there is of a painting when a level is done: enough to go on with, to the same bits.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Begun {
+    /// Finer levels that are left; 0: it is done.
+    pub left: usize,
+    /// Number of the source patch, by number of the target patch, at the level that is done.
+    pub patches: Vec<u32>,
+}
+
+/// Who hears of a run.
+pub trait Watch: Sync {
+    /// Told before each step.
+    fn step(&self, _: Progress) {}
+
+    /// Told what there is after each level.
+    fn level(&self, _: Begun) {}
+}
+
+impl Watch for () {}
+
 /// A picture in the style of an example.
 #[derive(Clone, Debug)]
 pub struct Stylized {
@@ -45,14 +65,15 @@ pub struct Stylized {
 /// Paints the target.
 /// - `target`: guides, the same channels as the example's;
 /// - `before`: the frame before, of the target's size, that the painting is to hold on to;
-/// - `progress`: told before each step;
-/// - errors: sizes, channels or settings do not fit.
+/// - `begun`: what an earlier run with the same arguments had done;
+/// - errors: sizes, channels or settings do not fit, or what was begun does not.
 pub fn stylize(
     example: Example<'_>,
     target: &Planes,
     before: Option<&Before>,
     settings: &Settings,
-    progress: &(dyn Fn(Progress) + Sync),
+    begun: Option<Begun>,
+    watch: &dyn Watch,
 ) -> Result<Stylized, StylizeError> {
     let Example { style, guides } = example;
     if style.size() != guides.size() {
@@ -71,18 +92,39 @@ pub fn stylize(
     let levels = settings.check(guides, target)?;
     let held = before.map(|before| before.pyramid(levels));
     let [styles, sources, targets] = [style, guides, target].map(|image| image.pyramid(levels));
-    let steps = Steps::new(&targets, settings, progress);
-    let mut last: Option<(Field, Planes)> = None;
-    for (at, ((style, guides), target)) in styles.iter().zip(&sources).zip(&targets).enumerate().rev() {
+    let steps = Steps::new(&targets, settings, watch);
+    let grids = |at: usize| [&targets[at], &sources[at]].map(|image| Grid::of(image, settings.patch));
+    let mut last = begun.map(|begun| begun.field(levels, grids)).transpose()?.map(|(left, field)| {
+        let image = field.vote(&styles[left]);
+        (left, field, image)
+    });
+    let done = last.as_ref().map_or(levels, |last| last.0);
+    for (at, ((style, guides), target)) in styles.iter().zip(&sources).zip(&targets).enumerate().take(done).rev() {
         let before = before.zip(held.as_ref()).map(|(before, held)| (before, &held[at]));
         let step = &|iteration, part| steps.tell(at, iteration, part);
         let work = Work { style, guides, target, before, level: at, settings, step };
-        let field = last.map_or_else(|| work.first_guess(), |last| work.doubled(&last.0));
-        last = Some(work.paint(field));
+        let field = last.map_or_else(|| work.first_guess(), |(_, field, _)| work.doubled(&field));
+        let (field, image) = work.paint(field);
+        watch.level(Begun { left: at, patches: field.patches.clone() });
+        last = Some((at, field, image));
     }
-    let (field, image) = last.ok_or(StylizeError::Levels { levels, most: 0, patch: settings.patch })?;
+    let (_, field, image) = last.ok_or(StylizeError::Levels { levels, most: 0, patch: settings.patch })?;
     let figures = Figures::of(&field, [guides, target], style, &image);
     Ok(Stylized { image, field, levels, figures })
+}
+
+impl Begun {
+    /// The levels left and the field, if it is one of this run.
+    /// - `grids`: target and source patches of a level.
+    fn field(self, levels: usize, grids: impl Fn(usize) -> [Grid; 2]) -> Result<(usize, Field), StylizeError> {
+        let Self { left, patches } = self;
+        if left >= levels {
+            return Err(StylizeError::Begun);
+        }
+        let [target, source] = grids(left);
+        let fits = patches.len() == target.count() && patches.iter().all(|&p| (p as usize) < source.count());
+        if fits { Ok((left, Field { target, source, patches })) } else { Err(StylizeError::Begun) }
+    }
 }
 
 /// A level.
@@ -113,8 +155,8 @@ impl Work<'_> {
 
     /// By the field of the level before.
     fn doubled(&self, field: &Field) -> Field {
-        let grid = |image: &Planes| Grid::new(image.width(), image.height(), self.settings.patch);
-        field.doubled(grid(self.target), grid(self.guides))
+        let [target, source] = [self.target, self.guides].map(|image| Grid::of(image, self.settings.patch));
+        field.doubled(target, source)
     }
 
     /// What a search is to find: what is painted so far, drawn towards the frame before.
@@ -158,11 +200,11 @@ struct Steps<'a> {
     /// Pixels of each level, the finest first.
     pixels: Vec<f64>,
     iterations: usize,
-    progress: &'a (dyn Fn(Progress) + Sync),
+    watch: &'a dyn Watch,
 }
 
 impl<'a> Steps<'a> {
-    fn new(targets: &[Planes], settings: &Settings, progress: &'a (dyn Fn(Progress) + Sync)) -> Self {
+    fn new(targets: &[Planes], settings: &Settings, watch: &'a dyn Watch) -> Self {
         let pixels = |image: &Planes| (image.width() * image.height()) as f64;
         // Brute force tries as many patches for each as there are.
         let power = match settings.method {
@@ -170,7 +212,7 @@ impl<'a> Steps<'a> {
             Method::Em => 2,
         };
         let pixels = targets.iter().map(|image| pixels(image).powi(power)).collect();
-        Self { pixels, iterations: settings.iterations, progress }
+        Self { pixels, iterations: settings.iterations, watch }
     }
 
     fn tell(&self, at: usize, iteration: usize, part: f64) {
@@ -179,6 +221,6 @@ impl<'a> Steps<'a> {
         let before: f64 = self.pixels[at + 1..].iter().sum();
         let here = self.pixels[at] * (iteration.saturating_sub(1) as f64 + part) / iterations.max(1) as f64;
         let fraction = if iteration == 0 { 0.0 } else { (before + here) / all };
-        (self.progress)(Progress { level: levels - at, levels, iteration, iterations, fraction });
+        self.watch.step(Progress { level: levels - at, levels, iteration, iterations, fraction });
     }
 }

@@ -127,8 +127,8 @@ impl Canvas {
         (0..3).for_each(|i| pixel[i] *= 1.0 - cover * (1.0 - color[i]));
     }
 
-    /// Of each pixel of the canvas that is `inside` how far the nearest one is that is not, in the picture's pixels; 0 outside.
-    /// Steps along rows, columns and diagonals are counted: up to 8 % too far.
+    /// Of each pixel of the canvas that is `inside` how far the nearest one is that is not, in the picture's pixels; 0
+    /// outside. Steps along rows, columns and diagonals are counted: up to 8 % too far.
     pub fn depth_within(&self, inside: &[bool]) -> Vec<f32> {
         const DIAGONAL: f32 = std::f32::consts::SQRT_2;
         let (width, height) = (self.width as isize, self.height as isize);

@@ -42,7 +42,8 @@ impl Guides {
         Ok(Self { width: size.0, height: size.1, layers, albedo, depth })
     }
 
-    /// One file of all: light and albedo in halves, as good as a render's noise, and depth in floats, for its slopes are looked at.
+    /// One file of all: light and albedo in halves, as good as a render's noise, and depth in floats, for its slopes
+    /// are looked at.
     /// - `attributes`: text attributes, such as those of the render.
     pub fn encode(&self, attributes: &BTreeMap<String, String>) -> Result<Vec<u8>, FilmError> {
         let mut planes: Vec<(String, Vec<f32>, Precision)> = Vec::new();

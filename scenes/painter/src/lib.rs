@@ -1,8 +1,9 @@
 //! Paints a render as an artist might, by program: styles to begin with where there is no artist.
 //!
-//! [`Sight`] is what a painter sees in a render: light, half shadow, highlight, light thrown back, forms. A style is a file of `style/` with
-//! one function from that to a picture, and a line of [`STYLES`]. Everything is drawn on a [`Canvas`] of twice the size, and chance comes
-//! from hashes of what is drawn, so that the same image gives the same bytes everywhere.
+//! [`Sight`] is what a painter sees in a render: light, half shadow, highlight, light thrown back, forms. A style is a
+//! file of `style/` with one function from that to a picture, and a line of [`STYLES`]. Everything is drawn on a
+//! [`Canvas`] of twice the size, and chance comes from hashes of what is drawn, so that the same image gives the same
+//! bytes everywhere.
 #![deny(missing_docs)]
 
 pub mod canvas;

@@ -17,7 +17,8 @@ pub struct Line {
     pub points: Vec<[f32; 2]>,
 }
 
-/// The lines at which objects meet, each once, smoothed to a pixel or two: first those of round things, which are mostly before others.
+/// The lines at which objects meet, each once, smoothed to a pixel or two: first those of round things, which are
+/// mostly before others.
 pub fn outlines(sight: &Sight) -> Vec<Line> {
     let mut drawn = Near::new(sight.width, sight.height, APART);
     let mut objects: Vec<u8> = (0..sight.curved.len() as u8).collect();

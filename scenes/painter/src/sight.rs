@@ -5,14 +5,16 @@ use femc_film::{Image, ToneCurve, tone};
 use femc_math::elementary::tan;
 use std::collections::BTreeMap;
 
-/// Half the angle that the picture is taken to span, degrees: depth alone does not tell. Forms look flatter or rounder where it is wrong.
+/// Half the angle that the picture is taken to span, degrees: depth alone does not tell. Forms look flatter or rounder
+/// where it is wrong.
 const HALF_VIEW: f32 = 15.0;
 /// Albedos of neighbors that differ by less, in all channels together, are of one object.
 const SAME: f32 = 0.03;
 /// Objects of fewer pixels are taken to be part of what is around them: edges of mixed pixels, mostly.
 const SMALL: usize = 60;
 
-/// All planes are row by row and of the picture's size. Positions are in pixels: the center of the first pixel is (0.5, 0.5).
+/// All planes are row by row and of the picture's size. Positions are in pixels: the center of the first pixel is (0.5,
+/// 0.5).
 #[derive(Clone, Debug)]
 pub struct Sight {
     /// Columns.
@@ -27,8 +29,8 @@ pub struct Sight {
     pub local: Vec<[f32; 3]>,
     /// How much light falls straight onto the surface; 1: as much as where it is lightest.
     pub light: Vec<f32>,
-    /// The same as a painter balances it: what is lit weakly as a whole is painted half as dark as it is (by the root of the light where the
-    /// object is lightest).
+    /// The same as a painter balances it: what is lit weakly as a whole is painted half as dark as it is (by the root
+    /// of the light where the object is lightest).
     pub lit: Vec<f32>,
     /// Light that comes by other surfaces, in the same unit.
     pub bounce: Vec<f32>,

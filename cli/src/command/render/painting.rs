@@ -47,7 +47,15 @@ impl PaintingArgs {
     }
 
     /// Paints the frames, in their order.
-    pub fn paint(&self, style: &Style, files: &[String], exposure: Exposure, say: Say) -> Result<Vec<String>, Failure> {
+    /// - `part`: file that is kept while it lasts.
+    pub fn paint(
+        &self,
+        style: &Style,
+        files: &[String],
+        exposure: Exposure,
+        part: &Path,
+        say: Say,
+    ) -> Result<Vec<String>, Failure> {
         if files.is_empty() {
             return Ok(Vec::new());
         }
@@ -62,7 +70,7 @@ impl PaintingArgs {
         let settings = Settings { boil: self.boil.unwrap_or(Settings::default().boil), ..Settings::default() };
         let curve = exposure.curve(&levels);
         let Painted { frames, .. } =
-            Order { style, guides: &[], curve, settings, threads: 0 }.paint(&targets, &outputs, say)?;
+            Order { style, guides: &[], curve, settings, threads: 0 }.paint(&targets, &outputs, part, say)?;
         Ok(frames.into_iter().map(|row| row.image).collect())
     }
 }

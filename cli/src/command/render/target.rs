@@ -75,6 +75,14 @@ impl Target {
         }
     }
 
+    /// The file of what is needed to go on with painting after a stop.
+    pub fn part(&self) -> PathBuf {
+        match self {
+            Self::Image(path) => path.with_extension("painted.part"),
+            Self::Folder { folder, .. } => folder.join("painted.part"),
+        }
+    }
+
     /// The folder of what is needed to go on after a stop.
     pub fn state(&self) -> PathBuf {
         match self {

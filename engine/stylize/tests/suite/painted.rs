@@ -1,10 +1,11 @@
 //! Whole pictures.
 
 use crate::world::{guides, style};
-use femc_stylize::{Before, Example, Method, Planes, Settings, StylizeError, Stylized, stylize};
+use femc_stylize::{Before, Begun, Example, Method, Planes, Settings, StylizeError, Stylized, Watch, stylize};
+use std::sync::Mutex;
 
 fn painted(source: &Planes, target: &Planes, settings: &Settings) -> Stylized {
-    stylize(Example { style: &style(source), guides: source }, target, None, settings, &|_| ()).expect("a picture")
+    stylize(Example { style: &style(source), guides: source }, target, None, settings, None, &()).expect("a picture")
 }
 
 /// Root of the mean squared difference.
@@ -69,7 +70,7 @@ fn what_does_not_fit_is_refused_by_what_it_is() {
     let (source, target) = (guides(20, 16, [0.5, 0.5], 1), guides(20, 16, [0.4, 0.5], 2));
     let painting = style(&source);
     let refused = |style: &Planes, target: &Planes, settings: &Settings| {
-        stylize(Example { style, guides: &source }, target, None, settings, &|_| ()).expect_err("refused")
+        stylize(Example { style, guides: &source }, target, None, settings, None, &()).expect_err("refused")
     };
     let settings = Settings::default();
     assert!(matches!(
@@ -105,7 +106,7 @@ fn a_frame_holds_on_to_the_one_before_as_much_as_it_is_told_to() {
     // The ball goes 2 pixels to the right and the noise of its light is another one.
     let middles = [0.4, 0.4 + 2.0 / size[0] as f32];
     let [first, second] = [0, 1].map(|at| guides(size[0], size[1], [middles[at], 0.5], 2 + at as u64));
-    let painted = stylize(example, &first, None, &Settings::default(), &|_| ()).expect("a picture");
+    let painted = stylize(example, &first, None, &Settings::default(), None, &()).expect("a picture");
     let radius = 0.3 * size[1] as f32;
     let motion: Vec<f32> = (0..pixels)
         .map(|at| {
@@ -117,7 +118,7 @@ fn a_frame_holds_on_to_the_one_before_as_much_as_it_is_told_to() {
     let before = Before::new(&painted, [&motion, &vec![0.0; pixels]], None).expect("it fits");
     let flicker = |before: Option<&Before>, boil| {
         let settings = Settings { boil, ..Settings::default() };
-        let image = stylize(example, &second, before, &settings, &|_| ()).expect("a picture").image;
+        let image = stylize(example, &second, before, &settings, None, &()).expect("a picture").image;
         self::before(&painted, &motion).flicker(&image).expect("it is known")
     };
     let [alone, held, half, anew] =
@@ -125,10 +126,36 @@ fn a_frame_holds_on_to_the_one_before_as_much_as_it_is_told_to() {
     eprintln!("flicker alone {alone:.2}, held {held:.2}, half {half:.2}, anew {anew:.2} levels");
     assert!(held < half && half < alone && held < 0.5 * alone, "{held} {half} {anew} {alone}");
     let smaller = guides(60, 48, [0.5, 0.5], 1);
-    let error = stylize(example, &smaller, Some(&before), &Settings::default(), &|_| ()).expect_err("another size");
+    let error = stylize(example, &smaller, Some(&before), &Settings::default(), None, &()).expect_err("another size");
     assert_eq!(error, StylizeError::BeforeSize { before: size, target: [60, 48] });
 }
 
 fn before(painted: &Stylized, motion: &[f32]) -> Before {
     Before::new(painted, [motion, &vec![0.0; motion.len()]], None).expect("it fits")
+}
+
+#[test]
+fn a_run_that_was_cut_off_at_any_level_goes_on_to_the_same_bits() {
+    struct Kept(Mutex<Vec<Begun>>);
+    impl Watch for Kept {
+        fn level(&self, begun: Begun) {
+            self.0.lock().expect("no panic").push(begun);
+        }
+    }
+    let (source, target) = (guides(64, 48, [0.5, 0.5], 1), guides(60, 44, [0.4, 0.4], 2));
+    let (painting, kept) = (style(&source), Kept(Mutex::new(Vec::new())));
+    let example = Example { style: &painting, guides: &source };
+    let whole = stylize(example, &target, None, &Settings::default(), None, &kept).expect("a picture");
+    let kept = kept.0.into_inner().expect("no panic");
+    assert_eq!(kept.iter().map(|begun| begun.left).collect::<Vec<_>>(), (0..whole.levels).rev().collect::<Vec<_>>());
+    for begun in kept {
+        let resumed = |begun| stylize(example, &target, None, &Settings::default(), Some(begun), &());
+        let again = resumed(begun.clone()).expect("a picture");
+        assert!(again.image == whole.image && again.field == whole.field, "{} levels left", begun.left);
+        let mut foreign = begun;
+        foreign.patches[0] = u32::MAX;
+        assert_eq!(resumed(foreign.clone()).expect_err("a number that no patch has"), StylizeError::Begun);
+        foreign.left += whole.levels;
+        assert_eq!(resumed(foreign).expect_err("a level that is none"), StylizeError::Begun);
+    }
 }

@@ -1,5 +1,5 @@
-//! Cel with outlines: few flat tones of gouache with the marks of a flat brush, shadows cold and warmed from below, and brush-pen
-//! lines that swell towards the dark, feathered where shadow begins.
+//! Cel with outlines: few flat tones of gouache with the marks of a flat brush, shadows cold and warmed from below, and
+//! brush-pen lines that swell towards the dark, feathered where shadow begins.
 
 use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Line, Near, levels, outlines};

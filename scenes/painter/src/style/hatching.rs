@@ -1,6 +1,6 @@
-//! Pen and ink: strokes along the form on toned paper, crossed by further layers where it is darker, in a warm ink in the half
-//! shadow and a cold one in the dark. Highlights and what is well lit stay paper. The strokes of a layer are streamlines that keep
-//! their distance (\[jobard1997\]).
+//! Pen and ink: strokes along the form on toned paper, crossed by further layers where it is darker, in a warm ink in
+//! the half shadow and a cold one in the dark. Highlights and what is well lit stay paper. The strokes of a layer are
+//! streamlines that keep their distance (\[jobard1997\]).
 
 use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Near, STEP, outlines};

@@ -1,5 +1,6 @@
-//! Oil on canvas: coarse strokes first and finer ones where the painting is not like what is seen yet (\[hertzmann1998\]), along forms
-//! and contours, of bristles that leave ridges. Lights are warm, shadows violet, light thrown back glows in them.
+//! Oil on canvas: coarse strokes first and finer ones where the painting is not like what is seen yet
+//! (\[hertzmann1998\]), along forms and contours, of bristles that leave ridges. Lights are warm, shadows violet, light
+//! thrown back glows in them.
 
 use crate::canvas::{Canvas, Dab, FINE, follow, mix, ramp};
 use crate::sight::luma;

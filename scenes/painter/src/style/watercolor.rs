@@ -1,6 +1,6 @@
-//! Watercolor: transparent washes over white paper, from light to dark. Pigment gathers at the edges of a wash and in hollows of the
-//! paper, wet paint runs into wet paint, backruns bloom (\[curtis1997\] tells of all these); highlights and thin gaps between things are
-//! left white.
+//! Watercolor: transparent washes over white paper, from light to dark. Pigment gathers at the edges of a wash and in
+//! hollows of the paper, wet paint runs into wet paint, backruns bloom (\[curtis1997\] tells of all these); highlights
+//! and thin gaps between things are left white.
 
 use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Near, outlines};
@@ -159,7 +159,8 @@ impl<'a> Sheet<'a> {
         (0..self.object.len()).map(inside).collect()
     }
 
-    /// The color of the thing itself, as a pigment: with a little ochre in all of them, so that light differs more than things do.
+    /// The color of the thing itself, as a pigment: with a little ochre in all of them, so that light differs more than
+    /// things do.
     fn pigment(&self, object: u8) -> [f32; 3] {
         let mut sum = [0.0f32; 3];
         let of_it = self.sight.object.iter().zip(&self.sight.local).filter(|(o, _)| **o == object);

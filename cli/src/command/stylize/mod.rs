@@ -1,5 +1,7 @@
 //! `femc stylize`: targets in the style of a painted example, guided by light.
 
+mod kept;
+
 use crate::args::{FormatArgs, fits};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
@@ -7,8 +9,11 @@ use crate::output::{Progress, Say, human, json};
 use crate::values::{Exposure, Style, guide_frame};
 use clap::{Args, ValueEnum};
 use femc_film::{Levels, ToneCurve, file};
-use femc_stylize::{Before, Example, Figures, GuideFrame, Settings, StylizeError, Stylized, frames};
-use serde::Serialize;
+use femc_stylize::{
+    Before, Begun, Example, Figures, GuideFrame, Planes, Settings, StylizeError, Stylized, Watch, frames,
+};
+use kept::Kept;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -95,7 +100,7 @@ struct Report {
 }
 
 /// A painted target.
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     /// The picture's file.
     pub image: String,
@@ -123,7 +128,7 @@ pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
     let (settings, threads) = (args.settings(), args.threads.unwrap_or(0));
     let curve = args.curve(&targets)?;
     let order = Order { style: &style, guides: &args.guides, curve, settings, threads };
-    let Painted { guides, seconds, frames, is_moved } = order.paint(&targets, &outputs, say)?;
+    let Painted { guides, seconds, frames, is_moved } = order.paint(&targets, &outputs, &Kept::path(&args.out), say)?;
     let Settings { mu, balance, boil, patch, iterations, .. } = settings;
     let report = Report { method: args.method, mu, balance, boil, patch, iterations, guides, seconds, frames };
     if args.format.json {
@@ -164,9 +169,11 @@ pub struct Painted {
 }
 
 impl Order<'_> {
-    /// Paints frames in their order, each after the one before; one target at least.
-    /// - `outputs`: where each picture goes.
-    pub fn paint(&self, targets: &[PathBuf], outputs: &[PathBuf], say: Say) -> Result<Painted, Failure> {
+    /// Paints frames in their order, each after the one before; one target at least. A run that was cut off goes on at the level that it
+    /// was in.
+    /// - `outputs`: where each picture goes;
+    /// - `part`: file that is kept while it lasts.
+    pub fn paint(&self, targets: &[PathBuf], outputs: &[PathBuf], part: &Path, say: Say) -> Result<Painted, Failure> {
         let (clock, progress) = (Clock, Mutex::new(Progress::new(say, Clock)));
         let started = clock.now();
         let Style { painting, source, source_path } = self.style;
@@ -180,24 +187,60 @@ impl Order<'_> {
         let example = Example { style: painting, guides: &guides };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads as usize).build();
         let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
+        let paint = |frame: &GuideFrame, before: Option<&Before>, begun: Option<Begun>, watch: &dyn Watch| {
+            let shown = frame.guides(&names, self.curve)?;
+            pool.install(|| femc_stylize::stylize(example, &shown, before, &self.settings, begun, watch))
+        };
+        let keys = self.keys(&names, &guides, targets);
+        let mut kept = Kept::read(part).filter(|kept| {
+            let painted = outputs.get(..kept.frame).unwrap_or_default();
+            keys.get(kept.frame) == Some(&kept.key) && painted.iter().all(|out| out.exists())
+        });
         let (mut rows, mut last): (Vec<Row>, Option<(Stylized, GuideFrame)>) = (Vec::new(), None);
-        for (at, (target, out)) in targets.iter().zip(outputs).enumerate() {
+        if let Some(kept) = &mut kept {
+            say.note(format!("{}: going on, {} of {} painted", part.display(), kept.frame, targets.len()));
+            rows = std::mem::take(&mut kept.rows);
+            if let Some(target) = kept.frame.checked_sub(1).map(|at| &targets[at]) {
+                let frame = guide_frame("--target", target)?;
+                let done = Begun { left: 0, patches: std::mem::take(&mut kept.last) };
+                let painted = paint(&frame, None, Some(done), &()).map_err(|error| told(&error, target))?;
+                last = Some((painted, frame));
+            }
+        }
+        let (first_left, mut begun) = kept.map_or((0, None), |kept| (kept.frame, kept.begun));
+        for (at, (target, out)) in targets.iter().zip(outputs).enumerate().skip(first_left) {
             let began = clock.now();
             let frame = if at == 0 { first.clone() } else { guide_frame("--target", target)? };
             let told = |error: StylizeError| told(&error, target);
-            let shown = frame.guides(&names, self.curve).map_err(told)?;
             let before = last.as_ref().and_then(|(painted, frame)| moved(painted, frame)).transpose().map_err(told)?;
-            let show = |now: femc_stylize::Progress| {
-                let part = (at as f64 + now.fraction) / targets.len() as f64;
-                let text = || format!("{}: level {}/{}", out.display(), now.level, now.levels);
-                progress.lock().unwrap_or_else(PoisonError::into_inner).at(part, text);
+            let fields = last.map(|(painted, _)| painted.field.patches).unwrap_or_default();
+            let keep = |begun| Kept::new(keys[at].clone(), at, rows.clone(), fields.clone(), begun).write(part);
+            if at > first_left {
+                keep(None)?;
+            }
+            let watch = Watcher {
+                step: &|now| {
+                    let part = (at as f64 + now.fraction) / targets.len() as f64;
+                    let text = || format!("{}: level {}/{}", out.display(), now.level, now.levels);
+                    progress.lock().unwrap_or_else(PoisonError::into_inner).at(part, text);
+                },
+                level: &|begun| {
+                    if let Err(failure) = keep(Some(begun)) {
+                        say.warning(format!("{}: what is done cannot be kept: {}", part.display(), failure.message));
+                    }
+                },
             };
-            let paint = || femc_stylize::stylize(example, &shown, before.as_ref(), &self.settings, &show);
-            let painted = pool.install(paint).map_err(told)?;
+            let painted = paint(&frame, before.as_ref(), begun.take(), &watch).map_err(told)?;
             file::write_atomic(out, &frames::picture(&painted.image).to_png().map_err(failed)?).map_err(failed)?;
             let flicker = before.and_then(|before| before.flicker(&painted.image));
             rows.push(Row::of(out, &painted, flicker, clock.since(began).as_secs_f64()));
             last = Some((painted, frame));
+        }
+        match std::fs::remove_file(part) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(failed(format!("{}: {error}", part.display())));
+            }
+            _ => {}
         }
         Ok(Painted {
             guides: names.into_iter().map(str::to_owned).collect(),
@@ -205,6 +248,39 @@ impl Order<'_> {
             frames: rows,
             is_moved: last.is_some_and(|(_, frame)| frame.motion().is_some()),
         })
+    }
+
+    /// Digests of all that decides the bytes of each frame.
+    fn keys(&self, names: &[&str], guides: &Planes, targets: &[PathBuf]) -> Vec<String> {
+        let mut key = blake3::Hasher::new();
+        let Self { curve, settings, .. } = self;
+        key.update(format!("{} {settings:?} {curve:?} {names:?}", env!("CARGO_PKG_VERSION")).as_bytes());
+        for image in [&self.style.painting, guides] {
+            for value in image.values() {
+                key.update(&value.to_le_bytes());
+            }
+        }
+        let digest = |target: &PathBuf| {
+            key.update(&std::fs::read(target).unwrap_or_default());
+            key.finalize().to_hex().to_string()
+        };
+        targets.iter().map(digest).collect()
+    }
+}
+
+/// Hears of a run.
+struct Watcher<'a> {
+    step: &'a (dyn Fn(femc_stylize::Progress) + Sync),
+    level: &'a (dyn Fn(Begun) + Sync),
+}
+
+impl Watch for Watcher<'_> {
+    fn step(&self, now: femc_stylize::Progress) {
+        (self.step)(now);
+    }
+
+    fn level(&self, begun: Begun) {
+        (self.level)(begun);
     }
 }
 
@@ -295,6 +371,7 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
         StylizeError::Shape { .. }
         | StylizeError::StyleSize { .. }
         | StylizeError::StyleChannels(_)
+        | StylizeError::Begun
         | StylizeError::Channels { .. } => failed(format!("{path}: {error}")),
     }
 }

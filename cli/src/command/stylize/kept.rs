@@ -1,0 +1,85 @@
+//! What is kept of a run while it lasts, so that one that was cut off goes on: `OUT.part`, a line of JSON, then numbers of source patches.
+
+use super::Row;
+use crate::exit::{Failure, failed};
+use femc_film::file::write_atomic;
+use femc_stylize::Begun;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// How far a run is.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Kept {
+    /// Digest of all that decides the bytes of the frame in work: style, settings, the frames up to it.
+    pub key: String,
+    /// The frame in work, by its place; those before it are painted.
+    pub frame: usize,
+    /// What is known of those before.
+    pub rows: Vec<Row>,
+    /// Source patches of the frame before, if there is one.
+    #[serde(skip)]
+    pub last: Vec<u32>,
+    /// What is done of the frame in work, if a level is.
+    #[serde(skip)]
+    pub begun: Option<Begun>,
+    /// Numbers of `last`, levels that `begun` has left.
+    counts: (usize, Option<usize>),
+}
+
+impl Kept {
+    /// Of a run.
+    pub fn new(key: String, frame: usize, rows: Vec<Row>, last: Vec<u32>, begun: Option<Begun>) -> Self {
+        let counts = (last.len(), begun.as_ref().map(|begun| begun.left));
+        Self { key, frame, rows, last, begun, counts }
+    }
+
+    /// The file beside a picture or a folder.
+    pub fn path(out: &Path) -> PathBuf {
+        let mut name = out.components().as_path().as_os_str().to_owned();
+        name.push(".part");
+        name.into()
+    }
+
+    /// What is there; `None`: nothing that can be read.
+    pub fn read(path: &Path) -> Option<Self> {
+        let bytes = std::fs::read(path).ok()?;
+        let end = bytes.iter().position(|&byte| byte == b'\n')?;
+        let mut kept: Self = serde_json::from_slice(&bytes[..end]).ok()?;
+        let (numbers, []) = bytes[end + 1..].as_chunks::<4>() else { return None };
+        let numbers: Vec<u32> = numbers.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect();
+        let (last, patches) = numbers.split_at_checked(kept.counts.0)?;
+        kept.last = last.to_vec();
+        kept.begun = kept.counts.1.map(|left| Begun { left, patches: patches.to_vec() });
+        Some(kept)
+    }
+
+    /// Writes it, whole or not at all.
+    pub fn write(&self, path: &Path) -> Result<(), Failure> {
+        let mut bytes = serde_json::to_vec(self).map_err(failed)?;
+        bytes.push(b'\n');
+        let begun = self.begun.iter().flat_map(|begun| &begun.patches);
+        bytes.extend(self.last.iter().chain(begun).flat_map(|number| number.to_le_bytes()));
+        write_atomic(path, &bytes).map_err(failed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_kept_comes_back_and_what_is_cut_off_does_not() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = Kept::path(&folder.path().join("clip/"));
+        assert!(path.ends_with("clip.part") && Kept::read(&path).is_none());
+        let begun = Begun { left: 2, patches: vec![7, 8] };
+        Kept::new("key".into(), 3, Vec::new(), vec![1, 2, 3], Some(begun.clone())).write(&path).expect("written");
+        let kept = Kept::read(&path).expect("it is there");
+        assert_eq!((&*kept.key, kept.frame, kept.last, kept.begun), ("key", 3, vec![1, 2, 3], Some(begun)));
+        let bytes = std::fs::read(&path).expect("bytes");
+        for end in [0, 5, bytes.len() - 1] {
+            std::fs::write(&path, &bytes[..end]).expect("written");
+            assert!(Kept::read(&path).is_none(), "{end} bytes");
+        }
+    }
+}

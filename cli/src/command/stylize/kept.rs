@@ -1,6 +1,6 @@
 //! What is kept of a run while it lasts, so that one that was cut off goes on: `OUT.part`, a line of JSON, then numbers of source patches.
 
-use super::Row;
+use super::row::Row;
 use crate::exit::{Failure, failed};
 use femc_film::file::write_atomic;
 use femc_stylize::Begun;

@@ -1,6 +1,7 @@
 //! `femc stylize`: targets in the style of a painted example, guided by light.
 
 mod kept;
+mod row;
 
 use crate::args::{FormatArgs, fits};
 use crate::clock::Clock;
@@ -9,11 +10,10 @@ use crate::output::{Progress, Say, human, json};
 use crate::values::{Exposure, Style, guide_frame};
 use clap::{Args, ValueEnum};
 use femc_film::{Levels, ToneCurve, file};
-use femc_stylize::{
-    Before, Begun, Example, Figures, GuideFrame, Planes, Settings, StylizeError, Stylized, Watch, frames,
-};
+use femc_stylize::{Before, Begun, Example, GuideFrame, Planes, Settings, StylizeError, Stylized, Watch, frames};
 use kept::Kept;
-use serde::{Deserialize, Serialize};
+use row::Row;
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -97,27 +97,6 @@ struct Report {
     guides: Vec<String>,
     seconds: f64,
     frames: Vec<Row>,
-}
-
-/// A painted target.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Row {
-    /// The picture's file.
-    pub image: String,
-    width: usize,
-    height: usize,
-    levels: usize,
-    seconds: f64,
-    /// Target patches; each has a source patch.
-    target_patches: usize,
-    guide_error: f64,
-    usage_entropy: f64,
-    usage_entropy_most: f64,
-    unused: f64,
-    unused_pixels: f64,
-    sharpness: Option<f64>,
-    /// Mean difference from the frame before along the motion, levels of 255.
-    flicker: Option<f64>,
 }
 
 /// Read, paint, write.
@@ -373,28 +352,6 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
         | StylizeError::StyleChannels(_)
         | StylizeError::Begun
         | StylizeError::Channels { .. } => failed(format!("{path}: {error}")),
-    }
-}
-
-impl Row {
-    fn of(out: &Path, painted: &Stylized, flicker: Option<f64>, seconds: f64) -> Self {
-        let Figures { guide_error, usage_entropy, usage_entropy_most, unused, unused_pixels, sharpness } =
-            painted.figures;
-        Self {
-            image: out.display().to_string(),
-            width: painted.image.width(),
-            height: painted.image.height(),
-            levels: painted.levels,
-            seconds,
-            target_patches: painted.field.patches.len(),
-            guide_error,
-            usage_entropy,
-            usage_entropy_most,
-            unused,
-            unused_pixels,
-            sharpness,
-            flicker,
-        }
     }
 }
 

@@ -90,6 +90,7 @@ fn read_by(spec: &JobSpec, stage: &Stage, item: u32, last: u32) -> Vec<(Need, St
             Reach::All => 0..made.tasks(),
             Reach::Same => item..item + 1,
             Reach::Fan(n) => item * n..((item + 1) * n).min(made.tasks()),
+            Reach::Previous => item.saturating_sub(1)..item,
         };
         let round = match need.round {
             Round::Before if stage.round == 0 => continue,

@@ -38,7 +38,7 @@ mod worker;
 pub use availability::{Availability, Shift};
 pub use cache::Cache;
 pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, OutboxPlace, Pace, WorkerError};
-pub use execute::{Video, Wish, drill_key};
+pub use execute::{Painting, Video, Wish, drill_key};
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
@@ -47,7 +47,7 @@ pub use metrics::Metrics;
 pub use outbox::MemoryOutbox;
 pub use parcel::{Parcel, ParcelError};
 pub use pieces::Pieces;
-pub use plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, STATISTICS, graph};
+pub use plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATISTICS, graph};
 pub use sums::decode as decode_sums;
 pub use worker::Worker;
 

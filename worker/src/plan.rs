@@ -19,6 +19,9 @@ pub const LAYERS: &str = "layers";
 /// The same of workers that know features, and the form of layers that has room for them.
 pub const FEATURES: &str = "features";
 
+/// The same of workers that know painted styles, of the stage that paints.
+pub const PAINTING: &str = "painting";
+
 /// The stages of a plan, as a job has them.
 pub fn graph(stages: &[engine::Stage]) -> Graph {
     let has_first_pass = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPass);

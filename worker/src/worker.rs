@@ -21,7 +21,7 @@ use crate::memory::Memory;
 use crate::meter::Meter;
 use crate::nice::Nice;
 use crate::outbox::Outbox;
-use crate::plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, STATISTICS};
+use crate::plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATISTICS};
 use crate::session::{End, Session};
 use crate::table::{Table, Task};
 use crate::{availability, simulated, threads};
@@ -166,7 +166,7 @@ impl Worker {
 /// The tags that a worker offers: those that it was given, and what this version knows.
 fn offered(tags: &[String]) -> Vec<String> {
     let mut tags = tags.to_vec();
-    for known in [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES] {
+    for known in [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING] {
         if !tags.iter().any(|tag| tag == known) {
             tags.push(known.to_owned());
         }

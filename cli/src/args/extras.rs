@@ -39,7 +39,7 @@ impl ExtrasArgs {
             let formats = "the name's ending is the clip's format; give FILE.png, FILE.gif or FILE.mp4";
             return Err(usage(format!("--video {name}: {formats}")));
         }
-        let wish = Wish { stills: self.preview, sheet, video };
+        let wish = Wish { stills: self.preview, sheet, video, painting: None };
         let clash = || usage("--contact-sheet: give FILE.png, another one than the clip's");
         if wish.is_sound() { Ok(wish) } else { Err(clash()) }
     }

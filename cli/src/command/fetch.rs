@@ -3,7 +3,7 @@
 use super::client::{self, Farm};
 use super::lookout::Views;
 use super::preview::Partial;
-use super::render::{frame_name, layers_of, statistics_of, still_name};
+use super::render::{frame_name, layers_of, painted_name, statistics_of, still_name};
 use super::watch::{Words, follow};
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
@@ -60,6 +60,8 @@ struct Report {
 struct Shown {
     /// PNG files beside the frames.
     previews: Vec<String>,
+    /// Painted pictures of the frames.
+    painted: Vec<String>,
     contact_sheet: Option<String>,
     video: Option<String>,
     /// How many of these are not there.
@@ -172,17 +174,23 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
     let stills = stills.map(|&frame| (Role::Still, still_name(&job.name, frame)));
     let sheet = wish.sheet.map(|name| (Role::Sheet, name));
     let video = wish.video.map(|video| (Role::Clip, video.name));
-    let wanted: Vec<(Role, String)> = stills.chain(sheet).chain(video).collect();
+    let painted = spec.frames.iter().filter(|_| wish.painting.is_some());
+    let painted = painted.map(|&frame| (Role::Painted, painted_name(&job.name, frame)));
+    let wanted: Vec<(Role, String)> = stills.chain(painted).chain(sheet).chain(video).collect();
     if wanted.is_empty() {
         return Ok(shown);
     }
     let made = farm.whole(job.job).await?.map(|record| record.outputs).unwrap_or_default();
     let of = |role: Role| made.iter().filter(move |output| output.role == role).map(|output| output.artifact);
-    // Stills come in the order of their frames.
-    let mut all_stills = of(Role::Still);
+    // Those of frames come in their order.
+    let (mut all_stills, mut all_painted) = (of(Role::Still), of(Role::Painted));
     for (role, name) in wanted {
         let path = folder.join(&name);
-        let found = if role == Role::Still { all_stills.next() } else { of(role).next() };
+        let found = match role {
+            Role::Still => all_stills.next(),
+            Role::Painted => all_painted.next(),
+            _ => of(role).next(),
+        };
         let is_there = match &found {
             Some(artifact) => file(farm, artifact, &path).await?,
             None => false,
@@ -197,6 +205,7 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
         let path = path.display().to_string();
         match role {
             Role::Still => shown.previews.push(path),
+            Role::Painted => shown.painted.push(path),
             Role::Sheet => shown.contact_sheet = Some(path),
             _ => shown.video = Some(path),
         }

@@ -2,6 +2,7 @@
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
+use crate::command::render::{PaintingArgs, ask_for_layers};
 use crate::command::{client, sweep};
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
@@ -10,6 +11,7 @@ use clap::Args;
 use femc_model::{Graph, Hint, Need, Reach, Round, Scope, Template};
 use femc_pipeline::auto::Choice;
 use femc_pipeline::{LeftOut, PrepareError, Prepared, Stop};
+use femc_worker::Wish;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -31,6 +33,8 @@ pub struct PlanArgs {
     /// Estimate no cost: render no trial
     #[arg(long)]
     no_trial: bool,
+    #[command(flatten)]
+    painting: PaintingArgs,
     #[command(flatten)]
     extras: ExtrasArgs,
     #[command(flatten)]
@@ -109,8 +113,12 @@ struct Likely {
 }
 
 /// Plan, and estimate.
-pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(mut args: PlanArgs, say: Say) -> Result<Exit, Failure> {
     let run = if args.no_trial { Trial::Skip } else { Trial::Run };
+    let painting = args.painting.wish()?;
+    if painting.is_some() {
+        ask_for_layers(&mut args.settings);
+    }
     if is_job(&args.scene) && JobFile::load(&args.scene).map_err(usage)?.sweep.is_some() {
         return sweep::plan(&args.scene, &args.settings, run, args.format.json, say);
     }
@@ -123,7 +131,8 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         Stop::Error(_) | Stop::Time(_) => 1,
     };
     let mut graph = femc_worker::graph(&plan.stages);
-    args.extras.wish(asked.rate(&plan.frames))?.add_to(&mut graph, frames as u32);
+    let wish = args.extras.wish(asked.rate(&plan.frames))?;
+    Wish { painting, ..wish }.add_to(&mut graph, frames as u32);
     let (samples_least, samples_most) =
         (plan.samples_per_frame(least) * frames, plan.samples_per_frame(rounds) * frames);
     let first_passes = first_passes(&asked)?;
@@ -343,6 +352,7 @@ fn far(reach: Reach) -> String {
         Reach::All => "all".to_owned(),
         Reach::Same => "its own".to_owned(),
         Reach::Fan(tasks) => format!("{tasks} each"),
+        Reach::Previous => "the one before".to_owned(),
     }
 }
 

@@ -1,12 +1,14 @@
 //! `femc submit SCENE|JOB.toml`: queue a job.
 
 use super::client;
+use super::render::{PaintingArgs, ask_for_layers};
 use crate::args::{ExtrasArgs, FormatArgs, ServerArgs, SettingsArgs};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
 use crate::request::Asked;
 use clap::Args;
 use femc_model::Digest;
+use femc_worker::Wish;
 use serde::Serialize;
 use std::hash::{BuildHasher as _, RandomState};
 use std::path::PathBuf;
@@ -18,6 +20,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:\n  \
     femc submit scenes/roundabout.mgf --frames 1..120 --size 192x108 --spp 24\n  \
     femc submit job.toml --priority 80\n  \
+    femc submit scenes/roundabout.mgf --frames 1..48 --style oil    # `femc fetch` gets FRAME.painted.png, too\n  \
     femc submit scenes/roundabout.mgf --frames 1..48 --video drive.mp4 --contact-sheet drive.png    # `femc fetch` gets them, too\n  \
     job=$(femc submit scene.mgf | tail -1); femc watch $job && femc fetch $job -o out\n\n\
     A clip is made by a worker that has ffmpeg (its tag says so), or, as .png or .gif, by any. A frame that fails is a gray card in it.\n\n\
@@ -35,6 +38,8 @@ pub struct SubmitArgs {
     /// Who the job belongs to [default: the user's name]
     #[arg(long, value_name = "NAME")]
     owner: Option<String>,
+    #[command(flatten)]
+    painting: PaintingArgs,
     #[command(flatten)]
     extras: ExtrasArgs,
     #[command(flatten)]
@@ -55,10 +60,14 @@ struct Report {
 }
 
 /// Submit.
-pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
+    let painting = args.painting.wish()?;
+    if painting.is_some() {
+        ask_for_layers(&mut args.settings);
+    }
     let asked = Asked::open(&args.scene, args.settings, say)?.decided()?;
     asked.explain(say);
-    let wish = args.extras.wish(asked.rate(&asked.plan.frames))?;
+    let wish = Wish { painting, ..args.extras.wish(asked.rate(&asked.plan.frames))? };
     let scene = asked.parcel()?;
     let count = human::count(asked.plan.frames.len() as u64, "frame");
     let wanted = args.owner.clone();

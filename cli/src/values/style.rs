@@ -2,19 +2,8 @@
 
 use crate::exit::{Failure, failed, usage};
 use femc_film::{FilmError, Picture};
-use femc_stylize::{GuideFrame, Planes, frames};
-use std::io::Cursor;
+use femc_stylize::{GuideFrame, Planes, frames, styles};
 use std::path::{Path, PathBuf};
-
-/// Paintings of `scenes/ball.mgf`, by name.
-const BUILT_IN: [(&str, &[u8]); 4] = [
-    ("hatching", include_bytes!("../../../scenes/styles/hatching.png")),
-    ("watercolor", include_bytes!("../../../scenes/styles/watercolor.png")),
-    ("oil", include_bytes!("../../../scenes/styles/oil.png")),
-    ("cel", include_bytes!("../../../scenes/styles/cel.png")),
-];
-/// What they were painted from.
-const BALL: &[u8] = include_bytes!("../../../scenes/styles/ball.layers.exr");
 
 /// A painting, and the render that it lies over.
 #[derive(Debug)]
@@ -31,13 +20,13 @@ impl Style {
     /// A style that comes with the program, by its name, or the painting at `style`; it lies over the render at `source`, or over that of
     /// the styles that come with the program.
     pub fn read(style: &Path, source: Option<&Path>) -> Result<Self, Failure> {
-        let bytes = match BUILT_IN.iter().find(|(name, _)| Path::new(name) == style) {
-            Some((_, painting)) => painting.to_vec(),
+        let bytes = match style.to_str().and_then(styles::png) {
+            Some(painting) => painting.to_vec(),
             None => std::fs::read(style).map_err(|error| match error.kind() {
                 std::io::ErrorKind::NotFound => usage(format!(
                     "--style {}: no such file; give a PNG, or one of the styles {}",
                     style.display(),
-                    BUILT_IN.map(|(name, _)| name).join(", ")
+                    styles::names().collect::<Vec<_>>().join(", ")
                 )),
                 _ => failed(format!("--style {}: {error}", style.display())),
             })?,
@@ -45,7 +34,7 @@ impl Style {
         match source {
             Some(path) => Self::of(style, &bytes, guide_frame("--source", path)?, path),
             None => {
-                let ball = GuideFrame::decode(Cursor::new(BALL)).map_err(failed)?;
+                let ball = styles::source().map_err(failed)?;
                 Self::of(style, &bytes, ball, Path::new("scenes/styles/ball.layers.exr"))
             }
         }

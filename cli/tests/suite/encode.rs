@@ -67,6 +67,35 @@ fn a_clip_its_stills_and_a_sheet_are_the_same_for_any_number_of_workers_and_the_
 }
 
 #[test]
+fn a_farm_paints_a_clip_frame_by_frame_to_the_same_bytes_for_any_number_of_workers_one_of_which_dies() {
+    let place = Place::new();
+    let settings = "--frames 1..4 --size 48x32 --spp 4 --style oil";
+    fetched(&place, "one", 1, settings);
+    let farm = Place::new();
+    let (_coordinator, url) = coordinator(&farm, 0);
+    let mut workers = join(&farm, &url, 3);
+    let job = submit(&farm, &url, settings);
+    let mut doomed = workers.pop().expect("three");
+    doomed.wait_until("a frame is done", || status(&farm, &url, &job)["frames_done"].as_u64() > Some(0));
+    doomed.kill();
+    farm.run(&format!("watch {job} --server {url}")).exits(0);
+    let folder = place.path("three");
+    let json = farm.run(&format!("fetch {job} -o {} --server {url} --json", folder.display())).exits(0).json();
+    assert_eq!(json["painted"].as_array().map(Vec::len), Some(4), "{json}");
+    let read = |folder: &str, frame: u32| {
+        std::fs::read(place.path(folder).join(format!("fog.000{frame}.painted.png"))).expect("painted")
+    };
+    for frame in 1..=4 {
+        assert!(read("one", frame) == read("three", frame), "frame {frame}");
+        let painted = Picture::from_png(&read("one", frame)).expect("a picture");
+        assert_eq!((painted.width, painted.height), (48, 32));
+    }
+    assert!(read("one", 1) != read("one", 4), "the fog thickens");
+    let ran = farm.run(&format!("submit fog.mgf --style mine.png --server {url}")).exits(2);
+    assert!(ran.stderr().contains("--style mine.png"), "{}", ran.stderr());
+}
+
+#[test]
 fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
     let place = Place::new();
     std::fs::create_dir(place.path("bin")).expect("made");
@@ -91,9 +120,9 @@ fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
     let _able = start("bin");
     place.run(&format!("watch {job} --server {url}")).exits(0);
     assert!(
-        workers(&place, &url)
-            .to_string()
-            .contains(r#""tags":["ffmpeg","first-pass","first-pass-blocks","statistics","layers","features"]"#),
+        workers(&place, &url).to_string().contains(
+            r#""tags":["ffmpeg","first-pass","first-pass-blocks","statistics","layers","features","painting"]"#
+        ),
         "{}",
         workers(&place, &url)
     );

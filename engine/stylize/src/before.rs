@@ -21,7 +21,16 @@ impl Before {
     /// - `depth`: of the frame before, one channel, for what hides what; without it, what moves more counts as nearer;
     /// - errors: sizes or channels do not fit.
     pub fn new(painted: &Stylized, motion: [&[f32]; 2], depth: Option<&[f32]>) -> Result<Self, StylizeError> {
-        let image = &painted.image;
+        Self::of_field(painted.image.clone(), painted.field.clone(), motion, depth)
+    }
+
+    /// The same of what a field has painted.
+    pub(crate) fn of_field(
+        image: Planes,
+        field: Field,
+        motion: [&[f32]; 2],
+        depth: Option<&[f32]>,
+    ) -> Result<Self, StylizeError> {
         let (width, height) = (image.width(), image.height());
         let layers = motion.into_iter().chain(depth);
         if let Some(values) = layers.map(<[f32]>::len).find(|&values| values != width * height) {
@@ -52,7 +61,7 @@ impl Before {
                 }
             }
         });
-        Ok(Self { image, from, field: painted.field.clone() })
+        Ok(Self { image, from, field })
     }
 
     /// Columns and rows.

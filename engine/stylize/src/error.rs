@@ -23,6 +23,9 @@ pub enum StylizeError {
         /// Row.
         y: u32,
     },
+    /// A file is none of a picture.
+    #[error("{0}")]
+    File(String),
     /// A frame has no layer of this name.
     #[error("no layer `{0}`")]
     NoGuide(String),
@@ -73,6 +76,9 @@ pub enum StylizeError {
     /// What was begun is not of these images and settings.
     #[error("what was begun is not of these images")]
     Begun,
+    /// Bytes that are none of brushwork, or damaged ones.
+    #[error("what was painted of the frame before is damaged")]
+    Brushwork,
     /// The width of patches is even or out of range.
     #[error("patch {0} is no odd number from 3 to 15")]
     Patch(usize),
@@ -86,4 +92,10 @@ pub enum StylizeError {
         /// Width of a patch, pixels.
         patch: usize,
     },
+}
+
+impl From<femc_film::FilmError> for StylizeError {
+    fn from(error: femc_film::FilmError) -> Self {
+        Self::File(error.to_string())
+    }
 }

@@ -18,6 +18,7 @@
 
 mod basis;
 mod before;
+mod brushwork;
 mod brute;
 mod error;
 mod field;
@@ -27,10 +28,12 @@ mod patches;
 mod planes;
 mod search;
 mod settings;
+pub mod styles;
 mod synthesis;
 mod tree;
 
 pub use before::Before;
+pub use brushwork::Brushwork;
 pub use brute::nearest as brute_force;
 pub use error::StylizeError;
 pub use field::{Field, Grid};

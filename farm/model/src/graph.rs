@@ -113,6 +113,8 @@ pub enum Reach {
     Same,
     /// Task `i` reads those from `i * n` to `(i + 1) * n`.
     Fan(u32),
+    /// Task `i` reads task `i - 1`, which its own stage may make, too: a chain. The first task reads none.
+    Previous,
 }
 
 /// Which round of a stage a task reads.
@@ -354,7 +356,7 @@ impl Graph {
             let tasks = u64::from(made.tasks()).saturating_mul(if of_frames { frames } else { 1 });
             let read = match need.reach {
                 Reach::All => tasks,
-                Reach::Same => 1,
+                Reach::Same | Reach::Previous => 1,
                 Reach::Fan(n) => tasks.min(u64::from(n)),
             };
             let rounds = if need.round == Round::Every { self.rounds(need.stage) } else { 1 };
@@ -444,6 +446,7 @@ impl Graph {
         }
         match hint.reach {
             Reach::Fan(0) => fault("a fan of none"),
+            Reach::Previous => fault("a chain of hints"),
             Reach::Same if made.tasks() != template.tasks() => fault("one to one of different numbers"),
             Reach::Fan(n) if made.tasks().div_ceil(n) != template.tasks() => fault("a fan that does not fit"),
             Reach::All | Reach::Same | Reach::Fan(_) => Ok(()),
@@ -492,7 +495,8 @@ impl Graph {
         if !made.makes.contains(&need.role) {
             return fault("it needs an output that nobody makes");
         }
-        if (need.stage >= stage && !is_before) || (is_before && !same_loop) {
+        let is_chain = need.reach == Reach::Previous && need.stage == stage;
+        if (need.stage >= stage && !is_before && !is_chain) || (is_before && !same_loop) {
             return fault("it needs a stage that comes later");
         }
         if !template.scope.may_read(made.scope) {
@@ -505,7 +509,13 @@ impl Graph {
         let tasks = if of_frames { None } else { Some(made.tasks()) };
         match (need.reach, tasks) {
             (Reach::Fan(0), _) => fault("a fan of none"),
-            (Reach::Same, Some(tasks)) if tasks != template.tasks() => fault("one to one of different numbers"),
+            (Reach::Same | Reach::Previous, Some(tasks)) if tasks != template.tasks() => {
+                fault("one to one of different numbers")
+            }
+            (Reach::Previous, _) if need.round == Round::Before || template.kind.is_cut() || self.is_looped(stage) => {
+                fault("a chain in a loop, or of tasks that are cut")
+            }
+            (Reach::Previous, None) => fault("a chain over frames"),
             (Reach::Fan(n), Some(tasks)) if tasks.div_ceil(n) != template.tasks() => fault("a fan that does not fit"),
             (Reach::Same, None) => fault("one to one over frames"),
             _ => Ok(()),

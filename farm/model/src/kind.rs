@@ -22,6 +22,8 @@ pub enum StageKind {
     FirstPass,
     /// A block of what is solved so.
     FirstPassBlock,
+    /// Paints a frame in a style, from its layers and what was painted of the frame before.
+    Paint,
 }
 
 /// Tasks of one lane are done one after the other, those of different lanes side by side.
@@ -83,7 +85,7 @@ pub struct KindRow {
 
 impl StageKind {
     /// All, in the order of the table.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Render,
         Self::Reduce,
         Self::Image,
@@ -92,6 +94,7 @@ impl StageKind {
         Self::Encode,
         Self::FirstPass,
         Self::FirstPassBlock,
+        Self::Paint,
     ];
 
     /// Its row of the table.
@@ -110,6 +113,7 @@ impl StageKind {
             // One a content, and long: its log is kept.
             Self::FirstPass => row("first-pass", "solutions", Compute, false, Near::Inputs, Store),
             Self::FirstPassBlock => row("first-pass-block", "blocks", Compute, false, Near::Inputs, Report),
+            Self::Paint => row("paint", "inputs", Compute, false, Near::Inputs, Report),
         }
     }
 
@@ -187,6 +191,10 @@ pub enum Role {
     LayerPixels,
     /// The layers of a finished image as EXR.
     LayerImage,
+    /// A frame in a painted style as PNG.
+    Painted,
+    /// What the next frame's painting goes on with.
+    Brushwork,
 }
 
 /// A row of the roles' table.
@@ -202,7 +210,7 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 25] = [
+    pub const ALL: [Self; 27] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -228,6 +236,8 @@ impl Role {
         Self::Layers,
         Self::LayerPixels,
         Self::LayerImage,
+        Self::Painted,
+        Self::Brushwork,
     ];
 
     /// Its row of the table.
@@ -259,6 +269,9 @@ impl Role {
             Self::Layers => row("layers", false, false),
             Self::LayerPixels => row("layer-pixels", false, false),
             Self::LayerImage => row("layer-image", true, false),
+            Self::Painted => row("painted", true, false),
+            // Else a painting that is lost would take all those before it again.
+            Self::Brushwork => row("brushwork", true, false),
         }
     }
 

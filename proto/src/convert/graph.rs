@@ -132,6 +132,7 @@ macro_rules! reach {
                     Reach::All => Self::All(wire::Empty {}),
                     Reach::Same => Self::Same(wire::Empty {}),
                     Reach::Fan(tasks) => Self::Fan(tasks),
+                    Reach::Previous => Self::Previous(wire::Empty {}),
                 }
             }
         }
@@ -142,6 +143,7 @@ macro_rules! reach {
                     $($wire)::+::All(_) => Self::All,
                     $($wire)::+::Same(_) => Self::Same,
                     $($wire)::+::Fan(tasks) => Self::Fan(tasks),
+                    $($wire)::+::Previous(_) => Self::Previous,
                 }
             }
         }

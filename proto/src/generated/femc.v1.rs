@@ -171,7 +171,7 @@ pub struct Hint {
     #[prost(enumeration = "Role", tag = "2")]
     pub role: i32,
     /// Of which of its tasks; one of these must be there.
-    #[prost(oneof = "hint::Reach", tags = "3, 4, 5")]
+    #[prost(oneof = "hint::Reach", tags = "3, 4, 5, 6")]
     pub reach: ::core::option::Option<hint::Reach>,
 }
 /// Nested message and enum types in `Hint`.
@@ -188,6 +188,9 @@ pub mod hint {
         /// Task `i` looks at those from `i * n` to `(i + 1) * n`, for this `n`.
         #[prost(uint32, tag = "5")]
         Fan(u32),
+        /// Of the one before: refused, since no frame's stage is a chain.
+        #[prost(message, tag = "6")]
+        Previous(super::Empty),
     }
 }
 /// Tasks that follow each other and are of one size.
@@ -227,7 +230,7 @@ pub struct Need {
     pub gaps: bool,
     /// Of which of its tasks; one of these must be there. A stage of the job counts the tasks of a stage of frames through over
     /// all frames in their order.
-    #[prost(oneof = "need::Reach", tags = "3, 4, 5")]
+    #[prost(oneof = "need::Reach", tags = "3, 4, 5, 9")]
     pub reach: ::core::option::Option<need::Reach>,
 }
 /// Nested message and enum types in `Need`.
@@ -245,6 +248,9 @@ pub mod need {
         /// Task `i` reads those from `i * n` to `(i + 1) * n`, for this `n`.
         #[prost(uint32, tag = "5")]
         Fan(u32),
+        /// Task `i` reads task `i - 1`, also of its own stage: a chain. The first task reads none.
+        #[prost(message, tag = "9")]
+        Previous(super::Empty),
     }
 }
 /// The content of some frames.
@@ -1885,6 +1891,10 @@ pub enum Role {
     LayerPixels = 24,
     /// The layers of a finished image: OpenEXR, beside the picture's.
     LayerImage = 25,
+    /// A frame in a painted style: PNG, for people. A worker that knows this role and the one below offers the tag `painting`.
+    Painted = 26,
+    /// What the next frame's painting goes on with.
+    Brushwork = 27,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1919,6 +1929,8 @@ impl Role {
             Self::Layers => "ROLE_LAYERS",
             Self::LayerPixels => "ROLE_LAYER_PIXELS",
             Self::LayerImage => "ROLE_LAYER_IMAGE",
+            Self::Painted => "ROLE_PAINTED",
+            Self::Brushwork => "ROLE_BRUSHWORK",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1950,6 +1962,8 @@ impl Role {
             "ROLE_LAYERS" => Some(Self::Layers),
             "ROLE_LAYER_PIXELS" => Some(Self::LayerPixels),
             "ROLE_LAYER_IMAGE" => Some(Self::LayerImage),
+            "ROLE_PAINTED" => Some(Self::Painted),
+            "ROLE_BRUSHWORK" => Some(Self::Brushwork),
             _ => None,
         }
     }
@@ -2062,6 +2076,8 @@ pub enum StageKind {
     FirstPass = 7,
     /// A block of a first pass: its rays, or where its light comes from.
     FirstPassBlock = 8,
+    /// Paints a frame in a style, from its layers and what was painted of the frame before.
+    Paint = 9,
 }
 impl StageKind {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2079,6 +2095,7 @@ impl StageKind {
             Self::Encode => "STAGE_KIND_ENCODE",
             Self::FirstPass => "STAGE_KIND_FIRST_PASS",
             Self::FirstPassBlock => "STAGE_KIND_FIRST_PASS_BLOCK",
+            Self::Paint => "STAGE_KIND_PAINT",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2093,6 +2110,7 @@ impl StageKind {
             "STAGE_KIND_ENCODE" => Some(Self::Encode),
             "STAGE_KIND_FIRST_PASS" => Some(Self::FirstPass),
             "STAGE_KIND_FIRST_PASS_BLOCK" => Some(Self::FirstPassBlock),
+            "STAGE_KIND_PAINT" => Some(Self::Paint),
             _ => None,
         }
     }

@@ -27,6 +27,7 @@ use femc_pipeline::{
     encode_solution, first_pass as first_pass_of, prepare_world, render_with_layers, render_with_statistics,
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
+use femc_stylize::{Brushwork, Example, Planes};
 use femc_worker::{Parcel, decode_sums, testing};
 
 use super::Target;
@@ -39,10 +40,33 @@ pub(super) fn targets() -> Vec<Target> {
     all.extend(film());
     all.extend(layers());
     all.extend(beside());
+    all.extend(brushwork());
     all.extend(first_pass());
     all.extend(paths());
     all.extend(log());
     all
+}
+
+fn brushwork() -> Vec<Target> {
+    let style = Planes::new(8, 6, 3, (0..144).map(|at| at as f32 / 144.0).collect()).expect("an image");
+    let (example, target) = (Example { style: &style, guides: &style }, style.clone());
+    let painted = femc_stylize::stylize(example, &target, None, &Default::default(), None, &()).expect("a picture");
+    let (motion, depth) = ([&[0.5f32; 48][..], &[-1.0; 48]], [2.0f32; 48]);
+    let seeds = [(None, None), (Some(motion), None), (Some(motion), Some(&depth[..]))]
+        .map(|(motion, depth)| Brushwork::new(&painted.field, motion, depth).encode());
+    let accepts = move |bytes: &[u8]| {
+        let Ok(brushwork) = Brushwork::decode(bytes) else { return false };
+        let again = brushwork.encode();
+        assert!(Brushwork::decode(&again).is_ok_and(|twice| twice.encode() == again));
+        !matches!(brushwork.before(&style), Some(Err(_)))
+    };
+    let front = seeds[0][..12].to_vec();
+    let payloads = seeds.iter().map(|seed| zstd::bulk::decompress(&seed[12..], 1 << 20).expect("compressed")).collect();
+    let dress = move |payload: &[u8]| [&front[..], &zstd::bulk::compress(payload, 1).expect("it compresses")].concat();
+    vec![
+        Target::of("brushwork", seeds.to_vec(), accepts.clone()),
+        Target::dressed("brushwork, inside", payloads, dress, accepts),
+    ]
 }
 
 fn bundle() -> Bundle {

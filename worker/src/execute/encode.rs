@@ -8,6 +8,7 @@
 //! | encode | job | for each frame its image, and the levels of all | a still |
 //! | encode | job | all stills | a contact sheet |
 //! | encode | job | all stills | a clip |
+//! | paint | job | for each frame its layers, the levels of all, and the brushwork of the frame before | a painted frame, brushwork |
 //!
 //! A frame that cannot be finished counts in no levels, and is shown as a gray card with a cross. What is asked for stands in the
 //! options of the job's own stages: not in its settings, which its images name, so that these are the same with a clip and without.
@@ -30,6 +31,7 @@ use super::union::{Lost, artifacts, each, expected, tiles, tiling};
 use super::{Product, Tools, unfit};
 use crate::clip::{self, ClipError, FFMPEG};
 use crate::clock::Stopwatch;
+use crate::plan::PAINTING;
 use crate::table::Task;
 
 /// Tiles whose levels a task counts, and levels that a task adds up.
@@ -46,6 +48,25 @@ pub struct Wish {
     pub sheet: Option<String>,
     /// A clip.
     pub video: Option<Video>,
+    /// Each frame in a painted style.
+    #[serde(default)]
+    pub painting: Option<Painting>,
+}
+
+/// A painted style.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Painting {
+    /// One of those that come with the program.
+    pub style: String,
+    /// How much may change where the frames do not, 0 to 1.
+    pub boil: f32,
+}
+
+impl Painting {
+    /// Whether there is such a style, and a sound dial.
+    pub fn is_sound(&self) -> bool {
+        femc_stylize::styles::names().any(|name| name == self.style) && (0.0..=1.0).contains(&self.boil)
+    }
 }
 
 /// A clip.
@@ -84,6 +105,7 @@ impl Wish {
         let video = self.video.as_ref();
         self.sheet.as_ref().is_none_or(|name| is_file(name) && name.ends_with(".png"))
             && video.is_none_or(|video| video.is_sound() && Some(&video.name) != self.sheet.as_ref())
+            && self.painting.as_ref().is_none_or(Painting::is_sound)
     }
 
     /// Whether nothing is wanted.
@@ -93,7 +115,8 @@ impl Wish {
 
     /// What a job of this graph was asked to show, if that is sound.
     pub fn of(graph: &Graph) -> Self {
-        let encode = graph.stages.iter().find(|template| template.kind == StageKind::Encode);
+        let shows = |template: &&Template| matches!(template.kind, StageKind::Encode | StageKind::Paint);
+        let encode = graph.stages.iter().find(shows);
         let wish = encode.and_then(|template| serde_json::from_str(&template.options).ok());
         wish.filter(Self::is_sound).unwrap_or_default()
     }
@@ -135,6 +158,16 @@ impl Wish {
         let encode = |tasks, role| {
             Template::new(StageKind::Encode, Scope::Job, Sizes::even(tasks, 1), &[role]).options(options.clone())
         };
+        if self.painting.is_some() {
+            let layers = need(image, Role::LayerImage, Reach::Fan(1), Round::Same, true);
+            let paint =
+                Template::new(StageKind::Paint, Scope::Job, Sizes::even(frames, 1), &[Role::Painted, Role::Brushwork]);
+            let paint = paint.options(options.clone()).needs(layers).reads(levels, Role::Levels, Reach::All);
+            push(paint.reads(levels + 1, Role::Brushwork, Reach::Previous).tags(&[PAINTING]));
+        }
+        if !(self.stills || self.sheet.is_some() || self.video.is_some()) {
+            return;
+        }
         let shown = if self.stills { Role::Still } else { Role::Picture };
         let images = need(image, Role::Image, Reach::Fan(1), Round::Same, true);
         let stills = push(encode(frames, shown).needs(images).reads(levels, Role::Levels, Reach::All));
@@ -301,7 +334,7 @@ mod tests {
 
     fn wish(stills: bool, sheet: Option<&str>, video: Option<&str>) -> Wish {
         let video = video.map(|name| Video { name: name.into(), rate: 7.4 });
-        Wish { stills, sheet: sheet.map(Into::into), video }
+        Wish { stills, sheet: sheet.map(Into::into), video, painting: None }
     }
 
     fn of_job(graph: &Graph) -> Vec<(StageKind, u32, Role)> {
@@ -357,6 +390,27 @@ mod tests {
         wish(true, None, None).add_to(&mut graph, 3);
         assert_eq!(of_job(&graph)[1..], [(StageKind::Encode, 3, Role::Still)]);
         assert_eq!(graph.stages[1], plain.stages[1], "what makes images is as it was");
+    }
+
+    #[test]
+    fn a_painted_job_is_a_chain_of_its_frames_beside_what_else_is_shown() {
+        let painting = Some(Painting { style: "oil".into(), boil: 0.25 });
+        for stills in [false, true] {
+            let mut graph = femc_model::testing::frames(Sizes::even(4, 64), &[4], 0);
+            graph.stages[1].makes.push(Role::LayerImage);
+            let wish = Wish { stills, painting: painting.clone(), ..Wish::default() };
+            wish.add_to(&mut graph, 300);
+            assert_eq!((graph.check(), graph.check_frames(300), Wish::of(&graph)), (Ok(()), Ok(()), wish));
+            let stages = of_job(&graph);
+            assert_eq!(stages[2], (StageKind::Paint, 300, Role::Painted));
+            assert_eq!(stages.len(), 3 + usize::from(stills));
+            let paint = graph.stages.iter().find(|it| it.kind == StageKind::Paint).expect("it paints");
+            assert_eq!(paint.tags, [PAINTING]);
+        }
+        for (style, boil) in [("aquatint", 0.5), ("oil", 1.5), ("oil", f32::NAN)] {
+            let painting = Some(Painting { style: style.into(), boil });
+            assert!(!Wish { painting, ..Wish::default() }.is_sound(), "{style} {boil}");
+        }
     }
 
     #[test]

@@ -7,13 +7,14 @@ mod first_pass;
 mod first_pass_steps;
 mod image;
 mod layers;
+mod paint;
 mod reduce;
 mod render;
 mod statistics;
 mod union;
 
 pub use drill::drill_key;
-pub use encode::{Video, Wish};
+pub use encode::{Painting, Video, Wish};
 
 use std::any::Any;
 use std::fmt::Display;
@@ -106,6 +107,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
         StageKind::Drill => drill::drill(task, stage, tools),
         StageKind::Decide => decide::decide(task, stage, tools),
         StageKind::Encode => encode::encode(task, stage, tools),
+        StageKind::Paint => paint::paint(task, stage, tools),
         StageKind::FirstPass | StageKind::FirstPassBlock => first_pass::first_pass(task, stage, tools),
     };
     let measured = tools.memory.begin(stage.kind, &tools.cache)?;

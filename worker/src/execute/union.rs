@@ -34,7 +34,7 @@ pub(super) fn tiles(task: &Task, stage: &Template, role: Role) -> Result<Range<u
     match stage.needs.iter().find(|need| need.role == role).map(|need| need.reach) {
         Some(Reach::All) => Ok(0..tiles),
         Some(Reach::Fan(fan)) => Ok(item.saturating_mul(fan).min(tiles)..(item + 1).saturating_mul(fan).min(tiles)),
-        Some(Reach::Same) | None => Err(unfit("the job's graph has a stage that unites no tiles")),
+        Some(Reach::Same | Reach::Previous) | None => Err(unfit("the job's graph has a stage that unites no tiles")),
     }
 }
 

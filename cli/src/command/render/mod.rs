@@ -13,7 +13,8 @@ mod there;
 
 pub use beside::{Beside, Found as FoundBeside, layers_of, statistics_of};
 
-pub use target::{frame_name, still_name};
+pub use painting::{PaintingArgs, ask_for_layers};
+pub use target::{frame_name, painted_name, still_name};
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
@@ -23,7 +24,6 @@ use crate::request::{Asked, picture};
 use crate::values::Exposure;
 use clap::Args;
 use drive::{Made, Order};
-use painting::PaintingArgs;
 use report::{FrameReport, Report};
 use report_file::ReportFile;
 use state::{Found, Identity, Old, State};
@@ -84,7 +84,7 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
     let style = args.painting.style()?;
     if style.is_some() {
-        painting::ask_for_layers(&mut args.settings);
+        ask_for_layers(&mut args.settings);
     }
     args.extras.check()?;
     let report_file = args.report.as_deref().map(ReportFile::to).transpose()?;

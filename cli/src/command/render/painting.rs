@@ -8,7 +8,8 @@ use crate::output::Say;
 use crate::values::{Exposure, Style};
 use clap::Args;
 use femc_film::{Levels, exr};
-use femc_stylize::Settings;
+use femc_stylize::{Settings, styles};
+use femc_worker::Painting;
 use std::path::{Path, PathBuf};
 
 /// How frames are painted; `femc stylize` has more to say, and paints frames that are there.
@@ -44,6 +45,22 @@ impl PaintingArgs {
             return Err(usage(format!("--boil {boil}: give a number from 0 to 1")));
         }
         self.style.as_deref().map(|style| Style::read(style, self.style_source.as_deref())).transpose()
+    }
+
+    /// What a farm is to paint: in one of the styles that come with femc, which its workers have.
+    pub fn wish(&self) -> Result<Option<Painting>, Failure> {
+        let Some(style) = &self.style else { return Ok(None) };
+        let boil = self.boil.unwrap_or(Settings::default().boil);
+        let painting = Painting { style: style.display().to_string(), boil };
+        if self.style_source.is_none() && painting.is_sound() {
+            return Ok(Some(painting));
+        }
+        self.style()?;
+        let names = styles::names().collect::<Vec<_>>().join(", ");
+        Err(usage(format!(
+            "--style {}: a farm paints in the styles that its workers have: {names}; paint what was fetched with femc stylize",
+            style.display()
+        )))
     }
 
     /// Paints the frames, in their order.

@@ -114,6 +114,11 @@ pub fn frame_name(stem: &str, frame: u32) -> String {
     format!("{stem}.{frame:04}.exr")
 }
 
+/// `<stem>.0007.painted.png`, which lies beside it.
+pub fn painted_name(stem: &str, frame: u32) -> String {
+    format!("{stem}.{frame:04}.painted.png")
+}
+
 /// `<stem>.0007.png`, which lies beside it.
 pub fn still_name(stem: &str, frame: u32) -> String {
     format!("{stem}.{frame:04}.png")

@@ -351,6 +351,8 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
         | StylizeError::StyleSize { .. }
         | StylizeError::StyleChannels(_)
         | StylizeError::Begun
+        | StylizeError::Brushwork
+        | StylizeError::File(_)
         | StylizeError::Channels { .. } => failed(format!("{path}: {error}")),
     }
 }

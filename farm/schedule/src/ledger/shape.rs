@@ -95,6 +95,7 @@ impl<'a> Shape<'a> {
             Reach::All => 0..all,
             Reach::Same => u64::from(item)..u64::from(item) + 1,
             Reach::Fan(n) => u64::from(item) * u64::from(n)..(u64::from(item) + 1) * u64::from(n),
+            Reach::Previous => u64::from(item).saturating_sub(1)..u64::from(item),
         };
         (tasks, range.start.min(all)..range.end.min(all))
     }
@@ -108,6 +109,7 @@ impl<'a> Shape<'a> {
             Reach::All => (0, u64::from(tasks)),
             Reach::Same => (first, first + count),
             Reach::Fan(n) => (first / u64::from(n.max(1)), (first + count).div_ceil(u64::from(n.max(1)))),
+            Reach::Previous => (first + 1, first + count + 1),
         };
         Some(start.min(tasks.into()) as u32..end.min(tasks.into()) as u32)
     }
@@ -148,6 +150,7 @@ fn reach(reach: Reach, item: u32, tasks: u32) -> Range<u32> {
         Reach::All => 0..tasks,
         Reach::Same => item.min(tasks)..item.saturating_add(1).min(tasks),
         Reach::Fan(n) => item.saturating_mul(n).min(tasks)..item.saturating_add(1).saturating_mul(n).min(tasks),
+        Reach::Previous => item.saturating_sub(1).min(tasks)..item.min(tasks),
     }
 }
 
@@ -158,5 +161,6 @@ pub(super) fn read_by(reach: Reach, item: u32, readers: u32) -> Range<u32> {
         Reach::All => 0..readers,
         Reach::Same => one(item),
         Reach::Fan(n) => one(item / n.max(1)),
+        Reach::Previous => one(item.saturating_add(1)),
     }
 }

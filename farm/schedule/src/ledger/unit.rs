@@ -391,7 +391,8 @@ impl Unit {
             })
     }
 
-    /// Lets go of the outputs of these tasks that are needed no longer. A stage reads itself in other rounds only.
+    /// Lets go of the outputs of these tasks that are needed no longer. A stage reads itself in other rounds
+    /// only, or as a chain, of which nothing is let go of.
     fn release_unneeded(&mut self, shape: &Shape<'_>, place: Place, items: Range<u32>, released: &mut Vec<Digest>) {
         let Some((keys, stride)) = self.grains(shape, place).map(|it| (it.of_tasks(&items), it.stride())) else {
             return;

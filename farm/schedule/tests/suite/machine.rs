@@ -59,7 +59,7 @@ enum Form {
     /// Tiles, groups of two of them, a decision that reads the groups' errors, an image behind the loop that reads their pixels. Tiles
     /// and groups may look at what the groups of the frame before have left.
     Decided,
-    /// Frames, and for the job a tree over their tiles and one result; with gaps or without.
+    /// Frames, and for the job a tree over their tiles and one result, and a chain over its frames; with gaps or without.
     Whole { gaps: bool },
     /// Frames that read what is solved in rounds, once for all frames and jobs of one content.
     Shared,
@@ -125,7 +125,10 @@ impl Form {
                 ));
                 let whole = image(Job, &[Preview]).reads(2, Sums, Reach::All).tags(&[TAG]);
                 let whole = whole.needs(need(1, Image, Reach::All, Round::Same, gaps));
-                Graph { stages: vec![render, end, pairs, whole] }
+                let chain = Template::new(Kind::Paint, Job, Sizes::even(frames, 1), &[Painted, Brushwork])
+                    .needs(need(1, Image, Reach::Fan(1), Round::Same, gaps))
+                    .reads(4, Brushwork, Reach::Previous);
+                Graph { stages: vec![render, end, pairs, whole, chain] }
             }
         }
     }
@@ -464,6 +467,7 @@ impl Machine {
                 Reach::All => counted,
                 Reach::Same => vec![counted[*item as usize]],
                 Reach::Fan(n) => counted.into_iter().skip((item * n) as usize).take(n as usize).collect(),
+                Reach::Previous => item.checked_sub(1).map(|before| counted[before as usize]).into_iter().collect(),
             };
             for (frame, task) in chosen {
                 let last = self.last_round(owner, frame);
@@ -576,6 +580,7 @@ impl Machine {
             Reach::All => 0..made.tasks(),
             Reach::Same => held.work.item..held.work.item + 1,
             Reach::Fan(n) => held.work.item * n..((held.work.item + 1) * n).min(made.tasks()),
+            Reach::Previous => held.work.item.saturating_sub(1)..held.work.item,
         };
         let is_behind = graph.is_looped(need.stage) && !graph.is_looped(stage.number);
         let round = if is_behind { self.last_round(held.task.job, stage.frame) } else { stage.round };

@@ -3,6 +3,7 @@
 mod affinity;
 mod attempts;
 mod builds;
+mod chains;
 mod common;
 mod copies;
 mod deaths;

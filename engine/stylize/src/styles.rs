@@ -1,0 +1,54 @@
+//! Styles that come with the program: paintings of `scenes/ball.mgf`, which `scenes/painter` has painted.
+
+use crate::{GuideFrame, Planes, StylizeError, frames};
+use femc_film::{FilmError, Picture};
+use std::io::Cursor;
+
+/// Paintings by name.
+const PAINTINGS: [(&str, &[u8]); 4] = [
+    ("hatching", include_bytes!("../../../scenes/styles/hatching.png")),
+    ("watercolor", include_bytes!("../../../scenes/styles/watercolor.png")),
+    ("oil", include_bytes!("../../../scenes/styles/oil.png")),
+    ("cel", include_bytes!("../../../scenes/styles/cel.png")),
+];
+/// What they were painted from.
+const BALL: &[u8] = include_bytes!("../../../scenes/styles/ball.layers.exr");
+
+/// Names of the styles.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    PAINTINGS.iter().map(|(name, _)| *name)
+}
+
+/// The painting of this name, as PNG.
+pub fn png(name: &str) -> Option<&'static [u8]> {
+    PAINTINGS.iter().find(|(known, _)| *known == name).map(|(_, png)| *png)
+}
+
+/// The render that the paintings lie over.
+/// - errors: the program was built with another file in its place.
+pub fn source() -> Result<GuideFrame, FilmError> {
+    GuideFrame::decode(Cursor::new(BALL))
+}
+
+/// The painting of this name; `None`: there is no such style.
+/// - errors: as of [`source`].
+pub fn painting(name: &str) -> Option<Result<Planes, StylizeError>> {
+    let picture = Picture::from_any_png(png(name)?).map_err(StylizeError::from);
+    Some(picture.and_then(|picture| frames::painting(&picture)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_style_lies_over_the_source() {
+        let source = source().expect("a frame");
+        assert!(source.names().contains(&"full"), "{:?}", source.names());
+        for name in names() {
+            let painting = painting(name).expect("a style").expect("an image");
+            assert_eq!([painting.width() as u32, painting.height() as u32], source.size(), "{name}");
+        }
+        assert!(painting("aquatint").is_none());
+    }
+}

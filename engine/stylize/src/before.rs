@@ -21,12 +21,12 @@ impl Before {
     /// - `depth`: of the frame before, one channel, for what hides what; without it, what moves more counts as nearer;
     /// - errors: sizes or channels do not fit.
     pub fn new(painted: &Stylized, motion: [&[f32]; 2], depth: Option<&[f32]>) -> Result<Self, StylizeError> {
-        Self::of_field(painted.image.clone(), painted.field.clone(), motion, depth)
+        Self::of_field(&painted.image, painted.field.clone(), motion, depth)
     }
 
     /// The same of what a field has painted.
     pub(crate) fn of_field(
-        image: Planes,
+        image: &Planes,
         field: Field,
         motion: [&[f32]; 2],
         depth: Option<&[f32]>,

@@ -64,7 +64,7 @@ impl Brushwork {
         let grid = |[width, height]: [u32; 2]| Grid::new(width as usize, height as usize, self.patch as usize);
         let field = Field { target: grid(self.target), source: grid(self.source), patches: self.patches.clone() };
         let [x, y] = motion;
-        Some(Before::of_field(field.vote(style), field, [x, y], self.depth.as_deref()))
+        Some(Before::of_field(&field.vote(style), field, [x, y], self.depth.as_deref()))
     }
 
     /// The same bytes for the same brushwork.

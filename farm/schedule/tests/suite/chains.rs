@@ -50,9 +50,9 @@ fn a_link_waits_for_the_one_before_and_reads_it() {
         let worker = [2, 1].into_iter().find(|&it| !farm.tasks_of(it).is_empty()).expect("there is work");
         let done = work(&mut farm, worker);
         if done.stage.number == 1 {
-            links.push(done)
+            links.push(done);
         } else {
-            frames.push(done)
+            frames.push(done);
         }
         frames.sort_by_key(|task| task.stage.frame);
     }

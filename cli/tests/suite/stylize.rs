@@ -7,19 +7,23 @@ use std::collections::BTreeMap;
 const SIZE: [u32; 2] = [24, 18];
 
 /// A frame with these colors.
-fn write(place: &Place, name: &str, [width, height]: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) {
+fn frame([width, height]: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) -> FrameImage {
     let pixels: Vec<[f32; 3]> =
         (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| color(x, y)).collect();
     let n = pixels.len();
-    let frame = FrameImage {
+    FrameImage {
         color: Image { width, height, pixels },
         variance: vec![[0.0; 3]; n],
         luminance_variance: vec![0.0; n],
         albedo: vec![[0.0; 3]; n],
         depth: vec![0.0; n],
         samples: vec![1; n],
-    };
-    exr::write(&place.path(name), &frame, &Provenance::default()).expect("an image");
+    }
+}
+
+/// Its file.
+fn write(place: &Place, name: &str, size: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) {
+    exr::write(&place.path(name), &frame(size, color), &Provenance::default()).expect("an image");
 }
 
 /// Light that falls off from a pixel.
@@ -31,25 +35,15 @@ fn glow([u, v]: [u32; 2]) -> impl Fn(u32, u32) -> [f32; 3] {
 fn write_layers(
     place: &Place,
     name: &str,
-    [width, height]: [u32; 2],
+    size: [u32; 2],
     color: impl Fn(u32, u32) -> [f32; 3],
     names: &[(&str, f32)],
 ) {
-    let mut layers = LayerImage::black(names.iter().map(|layer| layer.0.to_owned()), width, height);
-    let pixels: Vec<[f32; 3]> =
-        (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| color(x, y)).collect();
+    let frame = frame(size, color);
+    let mut layers = LayerImage::black(names.iter().map(|layer| layer.0.to_owned()), size[0], size[1]);
     for (layer, (_, factor)) in layers.iter_mut().zip(names) {
-        layer.color = pixels.iter().map(|light| light.map(|value| factor * value)).collect();
+        layer.color = frame.color.pixels.iter().map(|light| light.map(|value| factor * value)).collect();
     }
-    let n = pixels.len();
-    let frame = FrameImage {
-        color: Image { width, height, pixels },
-        variance: vec![[0.0; 3]; n],
-        luminance_variance: vec![0.0; n],
-        albedo: vec![[0.0; 3]; n],
-        depth: vec![0.0; n],
-        samples: vec![1; n],
-    };
     let bytes = exr::encode_layers(&frame, &layers, &[], &[], &Provenance::default()).expect("an image");
     std::fs::write(place.path(name), bytes).expect("written");
 }

@@ -2,9 +2,10 @@
 
 use crate::{Field, Planes};
 use femc_math::elementary::double;
+use serde::{Deserialize, Serialize};
 
 /// Figures of a stylized picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// Mean over target patches of the squared difference of their guides from those of their source patches, summed over pixels and
     /// channels; guides in 0..255, not weighted by mu.

@@ -385,10 +385,10 @@ fn print(say: Say, report: &Report) {
         let or_none = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |it| format!("{it:.digits$}"));
         vec![
             row.image.clone(),
-            format!("{:.1}", row.guide_error),
-            format!("{:.2} of {:.2}", row.usage_entropy, row.usage_entropy_most),
-            human::percent(row.unused),
-            or_none(row.sharpness, 3),
+            format!("{:.1}", row.figures.guide_error),
+            format!("{:.2} of {:.2}", row.figures.usage_entropy, row.figures.usage_entropy_most),
+            human::percent(row.figures.unused),
+            or_none(row.figures.sharpness, 3),
             or_none(row.flicker, 2),
             human::seconds(row.seconds),
         ]

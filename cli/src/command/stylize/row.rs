@@ -19,18 +19,9 @@ pub struct Row {
     pub seconds: f64,
     /// Target patches; each has a source patch.
     pub target_patches: usize,
-    /// As [`Figures`] has it; so are those below.
-    pub guide_error: f64,
-    /// Bits.
-    pub usage_entropy: f64,
-    /// Bits.
-    pub usage_entropy_most: f64,
-    /// Part of the source patches.
-    pub unused: f64,
-    /// Part of the style's pixels.
-    pub unused_pixels: f64,
-    /// Part of the style's.
-    pub sharpness: Option<f64>,
+    /// What it is judged by.
+    #[serde(flatten)]
+    pub figures: Figures,
     /// Mean difference from the frame before along the motion, levels of 255.
     pub flicker: Option<f64>,
 }
@@ -38,8 +29,6 @@ pub struct Row {
 impl Row {
     /// Of a picture that was written to `out`.
     pub fn of(out: &Path, painted: &Stylized, flicker: Option<f64>, seconds: f64) -> Self {
-        let Figures { guide_error, usage_entropy, usage_entropy_most, unused, unused_pixels, sharpness } =
-            painted.figures;
         Self {
             image: out.display().to_string(),
             width: painted.image.width(),
@@ -47,12 +36,7 @@ impl Row {
             levels: painted.levels,
             seconds,
             target_patches: painted.field.patches.len(),
-            guide_error,
-            usage_entropy,
-            usage_entropy_most,
-            unused,
-            unused_pixels,
-            sharpness,
+            figures: painted.figures,
             flicker,
         }
     }

@@ -18,7 +18,8 @@ pub struct Before {
 impl Before {
     /// Moves each pixel of the frame before to the pixel that it is seen at now. Where several meet, the nearest one is seen.
     /// - `motion`: of the frame before, pixels: along x and y to where what is seen there is in the frame after it; not finite: unknown;
-    /// - `depth`: of the frame before, one channel, for what hides what; without it, what moves more counts as nearer;
+    /// - `depth`: of the frame before, one channel, for what hides what; 0: nothing is seen there, which hides nothing. Without depth, what
+    ///   moves more counts as nearer;
     /// - errors: sizes or channels do not fit.
     pub fn new(painted: &Stylized, motion: [&[f32]; 2], depth: Option<&[f32]>) -> Result<Self, StylizeError> {
         Self::of_field(&painted.image, painted.field.clone(), motion, depth)
@@ -39,7 +40,8 @@ impl Before {
         }
         let mut from = vec![NONE; width * height];
         let nearness = |at: usize| match depth {
-            Some(depth) => -depth[at],
+            Some(depth) if depth[at] > 0.0 => -depth[at],
+            Some(_) => f32::NEG_INFINITY,
             None => motion[0][at] * motion[0][at] + motion[1][at] * motion[1][at],
         };
         for (at, (dx, dy)) in motion[0].iter().zip(motion[1]).enumerate() {
@@ -106,7 +108,7 @@ impl Before {
     }
 }
 
-/// Fills the gaps that open between pixels that move apart: those with five known pixels around take what most neighbors suggest.
+/// Fills the gaps that open between pixels that move apart: one with five known pixels around comes from where the first of them does.
 fn filled(from: &[u32], width: usize, height: usize) -> Vec<u32> {
     let around = |at: usize| {
         let (x, y) = (at % width, at / width);
@@ -178,6 +180,9 @@ mod tests {
             let before = Before::new(&painted, [&motion, &[0.0; 24]], Some(&depth)).expect("it fits");
             assert_eq!((before.from[8], before.from[3]), (seen, 2), "a gap is filled from around it");
         }
+        depth[8] = 0.0;
+        let before = Before::new(&painted, [&motion, &[0.0; 24]], Some(&depth)).expect("it fits");
+        assert_eq!(before.from[8], 6, "the sky hides nothing");
         assert!(Before::new(&painted, [&motion, &[0.0; 23]], None).is_err());
     }
 

@@ -24,13 +24,18 @@ pub struct Kept {
     pub begun: Option<Begun>,
     /// Numbers of `last`, levels that `begun` has left.
     counts: (usize, Option<usize>),
+    /// Digest of the numbers.
+    #[serde(default)]
+    digest: String,
 }
 
 impl Kept {
     /// Of a run.
     pub fn new(key: String, frame: usize, rows: Vec<Row>, last: Vec<u32>, begun: Option<Begun>) -> Self {
         let counts = (last.len(), begun.as_ref().map(|begun| begun.left));
-        Self { key, frame, rows, last, begun, counts }
+        let mut kept = Self { key, frame, rows, last, begun, counts, digest: String::new() };
+        kept.digest = blake3::hash(&kept.numbers()).to_hex().to_string();
+        kept
     }
 
     /// The file beside a picture or a folder.
@@ -45,6 +50,9 @@ impl Kept {
         let bytes = std::fs::read(path).ok()?;
         let end = bytes.iter().position(|&byte| byte == b'\n')?;
         let mut kept: Self = serde_json::from_slice(&bytes[..end]).ok()?;
+        if blake3::hash(&bytes[end + 1..]).to_hex().as_str() != kept.digest {
+            return None;
+        }
         let (numbers, []) = bytes[end + 1..].as_chunks::<4>() else { return None };
         let numbers: Vec<u32> = numbers.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect();
         let (last, patches) = numbers.split_at_checked(kept.counts.0)?;
@@ -57,9 +65,14 @@ impl Kept {
     pub fn write(&self, path: &Path) -> Result<(), Failure> {
         let mut bytes = serde_json::to_vec(self).map_err(failed)?;
         bytes.push(b'\n');
-        let begun = self.begun.iter().flat_map(|begun| &begun.patches);
-        bytes.extend(self.last.iter().chain(begun).flat_map(|number| number.to_le_bytes()));
+        bytes.extend(self.numbers());
         write_atomic(path, &bytes).map_err(failed)
+    }
+
+    /// Numbers of source patches as bytes.
+    fn numbers(&self) -> Vec<u8> {
+        let begun = self.begun.iter().flat_map(|begun| &begun.patches);
+        self.last.iter().chain(begun).flat_map(|number| number.to_le_bytes()).collect()
     }
 }
 
@@ -81,5 +94,9 @@ mod tests {
             std::fs::write(&path, &bytes[..end]).expect("written");
             assert!(Kept::read(&path).is_none(), "{end} bytes");
         }
+        let mut damaged = bytes;
+        *damaged.last_mut().expect("bytes") ^= 1;
+        std::fs::write(&path, damaged).expect("written");
+        assert!(Kept::read(&path).is_none(), "a number is another one");
     }
 }

@@ -2,12 +2,11 @@
 
 use super::layers_of;
 use crate::args::SettingsArgs;
-use crate::command::stylize::{Order, Painted};
-use crate::exit::{Failure, failed, usage};
+use crate::command::stylize::{Order, Painted, common_curve};
+use crate::exit::{Failure, usage};
 use crate::output::Say;
 use crate::values::{Exposure, Style};
 use clap::Args;
-use femc_film::{Levels, exr};
 use femc_stylize::{Settings, styles};
 use femc_worker::Painting;
 use std::path::{Path, PathBuf};
@@ -78,14 +77,8 @@ impl PaintingArgs {
         }
         let targets: Vec<PathBuf> = files.iter().map(|file| layers_of(file.as_ref())).collect();
         let outputs: Vec<PathBuf> = files.iter().map(|file| Path::new(file).with_extension("painted.png")).collect();
-        let mut levels = Levels::default();
-        if exposure == Exposure::Auto {
-            for target in &targets {
-                levels.merge(&Levels::of_image(&exr::read(target).map_err(failed)?.image));
-            }
-        }
         let settings = Settings { boil: self.boil.unwrap_or(Settings::default().boil), ..Settings::default() };
-        let curve = exposure.curve(&levels);
+        let curve = common_curve(exposure, &targets)?;
         let Painted { frames, .. } =
             Order { style, guides: &[], curve, settings, threads: 0 }.paint(&targets, &outputs, part, say)?;
         Ok(frames.into_iter().map(|row| row.image).collect())

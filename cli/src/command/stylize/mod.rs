@@ -105,7 +105,7 @@ pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
     let outputs = args.outputs(&targets)?;
     let style = Style::read(&args.style, args.source.as_deref())?;
     let (settings, threads) = (args.settings(), args.threads.unwrap_or(0));
-    let curve = args.curve(&targets)?;
+    let curve = common_curve(args.exposure, &targets)?;
     let order = Order { style: &style, guides: &args.guides, curve, settings, threads };
     let Painted { guides, seconds, frames, is_moved } = order.paint(&targets, &outputs, &Kept::path(&args.out), say)?;
     let Settings { mu, balance, boil, patch, iterations, .. } = settings;
@@ -175,6 +175,7 @@ impl Order<'_> {
             let painted = outputs.get(..kept.frame).unwrap_or_default();
             keys.get(kept.frame) == Some(&kept.key) && painted.iter().all(|out| out.exists())
         });
+        let mut first = Some(first);
         let (mut rows, mut last): (Vec<Row>, Option<(Stylized, GuideFrame)>) = (Vec::new(), None);
         if let Some(kept) = &mut kept {
             say.note(format!("{}: going on, {} of {} painted", part.display(), kept.frame, targets.len()));
@@ -189,7 +190,10 @@ impl Order<'_> {
         let (first_left, mut begun) = kept.map_or((0, None), |kept| (kept.frame, kept.begun));
         for (at, (target, out)) in targets.iter().zip(outputs).enumerate().skip(first_left) {
             let began = clock.now();
-            let frame = if at == 0 { first.clone() } else { guide_frame("--target", target)? };
+            let frame = match first.take().filter(|_| at == 0) {
+                Some(first) => first,
+                None => guide_frame("--target", target)?,
+            };
             let told = |error: StylizeError| told(&error, target);
             let before = last.as_ref().and_then(|(painted, frame)| moved(painted, frame)).transpose().map_err(told)?;
             let fields = last.map(|(painted, _)| painted.field.patches).unwrap_or_default();
@@ -247,7 +251,7 @@ impl Order<'_> {
     }
 }
 
-/// Hears of a run.
+/// Shows how far the painting of a frame is, and keeps what is done of it.
 struct Watcher<'a> {
     step: &'a (dyn Fn(femc_stylize::Progress) + Sync),
     level: &'a (dyn Fn(Begun) + Sync),
@@ -308,18 +312,18 @@ impl StylizeArgs {
             None => Ok(places),
         }
     }
+}
 
-    /// The tone curve of all targets together.
-    fn curve(&self, targets: &[PathBuf]) -> Result<ToneCurve, Failure> {
-        let mut all = Levels::default();
-        if self.exposure == Exposure::Auto {
-            for target in targets {
-                let exposed = guide_frame("--target", target)?.exposed();
-                all.merge(&exposed.as_ref().map_or_else(Levels::default, Levels::of_image));
-            }
+/// The tone curve of all targets together.
+pub fn common_curve(exposure: Exposure, targets: &[PathBuf]) -> Result<ToneCurve, Failure> {
+    let mut all = Levels::default();
+    if exposure == Exposure::Auto {
+        for target in targets {
+            let exposed = guide_frame("--target", target)?.exposed();
+            all.merge(&exposed.as_ref().map_or_else(Levels::default, Levels::of_image));
         }
-        Ok(self.exposure.curve(&all))
     }
+    Ok(exposure.curve(&all))
 }
 
 /// What to change.
@@ -357,7 +361,7 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
     }
 }
 
-/// The files that are meant, those of a pattern by the alphabet.
+/// Files to paint: those that are named, and of each pattern all that fit it, in the order of the alphabet.
 fn targets(asked: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     let mut all = Vec::new();
     for path in asked {

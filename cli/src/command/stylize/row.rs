@@ -1,4 +1,4 @@
-//! What is told of a painted target.
+//! A painted target in the report of `femc stylize`: its file, size, time and figures.
 
 use femc_stylize::{Figures, Stylized};
 use serde::{Deserialize, Serialize};

@@ -182,7 +182,7 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
     }
     let made = farm.whole(job.job).await?.map(|record| record.outputs).unwrap_or_default();
     let of = |role: Role| made.iter().filter(move |output| output.role == role).map(|output| output.artifact);
-    // Those of frames come in their order.
+    // The farm lists stills in the order of frames, and painted pictures, too.
     let (mut all_stills, mut all_painted) = (of(Role::Still), of(Role::Painted));
     for (role, name) in wanted {
         let path = folder.join(&name);

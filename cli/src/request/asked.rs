@@ -354,7 +354,7 @@ fn settings(typed: &SettingsArgs) -> Settings {
     }
 }
 
-/// The layers that were typed: first those of `--layers`, then those of `--layer`; and the features among those of `--layers`.
+/// Layers of light and features as typed: `--layers` names both, `--layer` adds layers behind those of `--layers`.
 fn layers(
     scene: &Scene,
     typed: &SettingsArgs,

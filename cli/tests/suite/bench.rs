@@ -40,7 +40,7 @@ fn methods_with_a_first_pass_are_measured_with_its_light_and_its_seconds() {
             assert_ne!(run["mse"], paths["mse"], "the same samples as path tracing: {run}");
             assert_eq!(number(&paths["first_pass_seconds"]), 0.0);
         }
-        // The pixels are those of `femc render`.
+        // `femc bench` renders the same pixels as `femc render`.
         place
             .run(&format!("render fog.mgf -o {method}.exr --frames 1 --size 24x16 --spp 4 --method {method}"))
             .exits(0);

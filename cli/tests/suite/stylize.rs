@@ -100,7 +100,7 @@ fn several_targets_go_to_a_folder_under_one_exposure() {
     let ran = place.run(&format!("{line} --target c-*.exr -o clip/ --json")).exits(0);
     assert!(ran.stderr().contains("no layer `motion`"), "{}", ran.stderr());
     assert_eq!(names(&place.path("clip")), ["c-1.png", "c-2.png"]);
-    assert_eq!(ran.json()["frames"][1]["flicker"], serde_json::Value::Null, "nobody knows how they moved");
+    assert_eq!(ran.json()["frames"][1]["flicker"], serde_json::Value::Null, "the files have no layer `motion`");
     // Alone, the second one is shown brighter than it is beside the first one.
     place.run(&format!("{line} --target c-2.exr -o alone.png")).exits(0);
     assert!(picture(&place, "clip/c-2.png") != picture(&place, "alone.png"), "both are as bright");

@@ -296,8 +296,8 @@ impl<'a> Directions<'a> {
         self.of_lobe(self.pick(choice).0, u)
     }
 
-    /// A direction by two numbers alone, of which the first chooses the lobe, too: points that are spread evenly over the square are
-    /// spread evenly over each lobe.
+    /// A direction by two numbers alone. The first one chooses the lobe, too; so points that are spread evenly over the square give each
+    /// lobe evenly spread directions.
     /// - `u`: in [0, 1)^2.
     #[inline]
     pub fn sample_evenly(&self, u: [f32; 2]) -> Vec3A {

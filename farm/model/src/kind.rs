@@ -270,7 +270,7 @@ impl Role {
             Self::LayerPixels => row("layer-pixels", false, false),
             Self::LayerImage => row("layer-image", true, false),
             Self::Painted => row("painted", true, false),
-            // Else a painting that is lost would take all those before it again.
+            // Kept, so that a painting that is lost in a job at work is made again alone.
             Self::Brushwork => row("brushwork", true, false),
         }
     }

@@ -1885,7 +1885,8 @@ pub enum Role {
     Rays = 21,
     /// Where the light of a block comes from.
     Guides = 22,
-    /// Sums of the layers of a tile's samples. A worker that knows this role and the two below offers the tag `layers`.
+    /// Sums of the layers of a tile's samples. A worker that knows this role and the two below offers the tags `layers`
+    /// and `features`.
     Layers = 23,
     /// Resolved layers of several tiles.
     LayerPixels = 24,

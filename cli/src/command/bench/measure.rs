@@ -109,7 +109,7 @@ impl Ready<'_> {
         Ok(self.lit.len() - 1)
     }
 
-    /// Render one frame and compare it with the reference. The frame's seconds include those of the first pass, where the method has one.
+    /// Render one frame and compare it with the reference. A method with a first pass has the seconds of the first pass among its own.
     pub fn run(&mut self, method: &Method, budget: f64, seed: u64) -> Result<Run, Failure> {
         let Bed { setup, asked, reference } = self.bed;
         let settings = Settings { stop: method.stop(budget), method: method.light, seed, ..asked.settings.clone() };

@@ -61,7 +61,7 @@ impl Channels {
         names.filter(|name| !is_variance(name) && self.of_layer(name).is_some()).collect()
     }
 
-    /// The colors of a layer; those of the picture itself have no name. `None`: there are none.
+    /// The colors of a layer by its name; an empty name stands for the picture itself. `None`: the file has no such layer.
     pub fn color(&self, layer: &str) -> Option<Image> {
         let [r, g, b] = self.of_layer(layer)?;
         let pixels = r.iter().zip(g).zip(b).map(|((r, g), b)| [*r, *g, *b]).collect();

@@ -27,6 +27,7 @@ mod openjd;
 mod otel;
 mod paths;
 mod python;
+mod real_files;
 mod render;
 mod room;
 mod s3;

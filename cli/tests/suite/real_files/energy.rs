@@ -1,0 +1,1 @@
+//! Materials that must not return more light than they receive.

@@ -1,0 +1,1 @@
+//! Names of files, encodings, images, and errors that list all that is missing.

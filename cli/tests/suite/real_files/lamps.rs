@@ -1,0 +1,1 @@
+//! Lamps whose light no method finds, and frames that met no light.

@@ -1,0 +1,27 @@
+//! Files in the wild: inputs that other renderers' users reported, with the values that are right. The inputs are in
+//! `cli/tests/real_files`.
+
+mod energy;
+mod files;
+mod lamps;
+mod photometry;
+mod words;
+
+use crate::common::{Place, Ran};
+use std::path::Path;
+
+/// A temporary folder that holds all inputs.
+fn place() -> Place {
+    let place = Place::new();
+    let inputs = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/real_files");
+    for entry in std::fs::read_dir(inputs).expect("the folder of inputs") {
+        let entry = entry.expect("an input");
+        std::fs::copy(entry.path(), place.path(&entry.file_name().to_string_lossy())).expect("the input is copied");
+    }
+    place
+}
+
+/// Standard output and standard error together.
+fn said(ran: &Ran) -> String {
+    format!("{}{}", ran.stdout(), ran.stderr())
+}

@@ -1,0 +1,1 @@
+//! Messages that send a user the wrong way.

@@ -208,9 +208,11 @@ impl Surface {
         };
         assert_eq!(*material, known, "an opaque material without maps");
         let color = |tinted: &Tinted| DVec3::from(tinted.color) * tinted.amount;
+        // A channel that asks for more light than the surface receives is divided by that (docs/formats.md).
+        let limit = (color(&material.rd) + color(&material.rs)).max(DVec3::ONE);
         Self {
-            diffuse: color(&material.rd),
-            glossy: color(&material.rs),
+            diffuse: color(&material.rd) / limit,
+            glossy: color(&material.rs) / limit,
             alpha: material.rs_alpha,
             radiance: color(&material.ed) * FRAC_1_PI,
             sides: material.sides,
@@ -221,7 +223,10 @@ impl Surface {
     /// `None`: absorbed.
     /// - `normal`: on the side of `wo`.
     fn scatter(&self, normal: DVec3, wo: DVec3, rng: &mut Rng) -> Option<(DVec3, DVec3, Scatterer)> {
+        // Chances of the parts: no smaller than their share in any channel, together at most 1 (a paint may be red, its gloss blue).
         let (diffuse, glossy) = (self.diffuse.max_element(), self.glossy.max_element());
+        let both = (diffuse + glossy).max(1.0);
+        let (diffuse, glossy) = (diffuse / both, glossy / both);
         let part = rng.unit();
         if part < diffuse {
             let wi = rng.direction(|wi| wi.dot(normal));

@@ -40,9 +40,9 @@ pub enum Oddity {
     HoleOrientation,
     /// A chromaticity outside Rec.709, clipped.
     OutOfGamut,
-    /// A colour that makes a reflectance exceed 1 in a channel.
+    /// A color that makes a material ask for more light of a channel than it receives; the renderer limits it.
     ChannelAboveOne {
-        /// The largest sum of the reflectances and transmittances in a channel.
+        /// Largest share of the light that a channel asks for.
         sum: f64,
     },
     /// Negative values in a spectrum.
@@ -156,7 +156,8 @@ impl fmt::Display for Oddity {
             Self::ChannelAboveOne { sum } => {
                 write!(
                     f,
-                    "color makes the material return {sum:.3} of the light in one channel (luminance is within 1)"
+                    "color makes the material ask for {sum:.3} times the light of one channel (its luminance is within 1): \
+                     limited to what it receives"
                 )
             }
             Self::NegativeSpectrum { count: 1 } => f.write_str("spectrum has a negative value: taken as 0"),

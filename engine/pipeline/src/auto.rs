@@ -57,7 +57,7 @@ pub struct Choice {
 }
 
 /// What some paths of a job say of it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pilot {
     /// Samples that were drawn.
     pub samples: u64,
@@ -67,8 +67,11 @@ pub struct Pilot {
     pub samples_a_pixel: f64,
     /// Variance of the samples over that of the light in them which no guide can help: what guides gain at most.
     pub most_gain: f64,
-    /// Variance times work of the samples over the same of guided ones; `None`: a first pass was not tried.
+    /// Variance times work of the samples over the same of guided ones; `None`: a first pass was not tried, or failed.
     pub gain: Option<f64>,
+    /// Reason why the first pass that was tried cannot be used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub untrusted: Option<String>,
     /// Rays of all frames by path tracing.
     pub rays: f64,
     /// Work of the first passes that the frames share, in such rays.
@@ -115,6 +118,9 @@ impl Pilot {
     fn choice(&self) -> (Method, String) {
         let work = 100.0 * self.share();
         let bounced = 100.0 * (1.0 - 1.0 / self.most_gain);
+        if let Some(reason) = &self.untrusted {
+            return (Method::Pt, format!("the first pass was tried, but {}", without_advice(reason)));
+        }
         match self.gain {
             None if self.most_gain < BOUND => (
                 Method::Pt,
@@ -176,6 +182,7 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
         samples_a_pixel,
         most_gain: paths.most_gain(),
         gain: None,
+        untrusted: None,
         rays,
         first_pass_rays,
     };
@@ -187,11 +194,23 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
         let prepared = prepare(source, &settings, frame, Some(&prepared))?;
         let paths = Drawn::of(&prepared, &settings)?;
         let settings = Settings { method: Method::Femc, ..settings };
-        let guided = Drawn::of(&prepare(source, &settings, frame, Some(&prepared))?, &settings)?;
-        found.samples += paths.samples + guided.samples;
-        found.gain = Some(paths.gain(&guided));
+        found.samples += paths.samples;
+        match prepare(source, &settings, frame, Some(&prepared)) {
+            Ok(prepared) => {
+                let guided = Drawn::of(&prepared, &settings)?;
+                found.samples += guided.samples;
+                found.gain = Some(paths.gain(&guided));
+            }
+            Err(PrepareError::FirstPass { reason }) => found.untrusted = Some(reason),
+            Err(error) => return Err(error.into()),
+        }
     }
     Ok(Some(found))
+}
+
+/// A message without what it says to do.
+fn without_advice(message: &str) -> &str {
+    message.split_once(';').map_or(message, |(what, _)| what)
 }
 
 /// Samples of a pilot.

@@ -22,9 +22,11 @@ pub(crate) fn options(method: Method) -> Options {
 
 /// Solves the finite-element first pass of a prepared frame: its light, and what it took. It depends on what
 /// [`first_pass_key`] is a digest of, and on nothing else.
-/// - errors: `cancel` was set.
+/// - errors: `cancel` was set, or the solution cannot be trusted.
 pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> Result<Solution, RenderError> {
-    femc_radiosity::solve(prepared, &options(method), cancel).map_err(|_| RenderError::Cancelled)
+    let solution = femc_radiosity::solve(prepared, &options(method), cancel).map_err(|_| RenderError::Cancelled)?;
+    solution.verify(prepared)?;
+    Ok(solution)
 }
 
 /// The world of a frame as its first pass has it: with lamps of brightness 1. Frames with equal keys ([`first_pass_key`]) have the same one,

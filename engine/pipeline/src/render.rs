@@ -6,6 +6,7 @@ use femc_film::{FilmError, Filter, Rect, Sample, Tile};
 use femc_layers::Feature;
 use femc_montecarlo::{PathSample, PathSettings, PixelFilter, Recorder, Tracer};
 use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
+use femc_radiosity::Untrusted;
 use femc_scene::FrameKey;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -24,7 +25,8 @@ pub fn prepare(
     let mut prepared = prepare_world(source, settings, frame, previous)?;
     if settings.method.has_first_pass() && prepared.field.is_none() {
         let world = first_pass_world(source, settings, frame, Some(&prepared))?;
-        let Ok(solution) = first_pass(&world, settings.method, &AtomicBool::new(false)) else { return Ok(prepared) };
+        let solution = first_pass(&world, settings.method, &AtomicBool::new(false));
+        let solution = solution.map_err(|error| PrepareError::FirstPass { reason: error.to_string() })?;
         prepared.field = Some(brightened(Arc::new(solution.field), prepared.brightness));
     }
     Ok(prepared)
@@ -75,6 +77,9 @@ pub enum RenderError {
     /// The tile's pixels or samples are out of the film's limits.
     #[error(transparent)]
     Film(#[from] FilmError),
+    /// The solution of the first pass cannot be trusted.
+    #[error("the finite-element solution cannot be trusted: {0}; use `--method pt`")]
+    Untrusted(#[from] Untrusted),
 }
 
 /// Renders samples `samples` of the pixels `rect` on the calling thread's rayon pool.

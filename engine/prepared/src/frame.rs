@@ -58,6 +58,12 @@ pub enum PrepareError {
     /// A measured intensity distribution is unusable.
     #[error("a luminaire's photometry cannot be used: {0}")]
     Photometry(#[from] femc_emission::PhotometryError),
+    /// The first pass has no solution that can be used.
+    #[error("{reason}")]
+    FirstPass {
+        /// Why, and what to use instead.
+        reason: String,
+    },
     /// A varied scalar cannot be set.
     #[error(transparent)]
     Selector(#[from] femc_scene::SelectorError),

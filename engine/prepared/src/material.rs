@@ -64,30 +64,29 @@ pub enum Orientation {
     Front,
 }
 
-/// Linear Rec.709 product of a scalar and its colour; channels are clamped to `[0, limit]`.
-fn product(tinted: &Tinted, limit: f64) -> Rgb {
-    let c = tinted.color.map(|c| (c * tinted.amount).clamp(0.0, limit) as f32);
-    Rgb::from_array(c)
+/// Linear Rec.709 product of a scalar and its color; channels are at least 0 and finite.
+fn product(tinted: &Tinted) -> Rgb {
+    Rgb::from_array(tinted.color.map(|c| (c * tinted.amount).clamp(0.0, f64::from(f32::MAX)) as f32))
 }
 
 impl KernelMaterial {
-    /// Converts a description. Reflectances and transmittances above 1 in a channel (a saturated colour of luminance 1 may
-    /// ask for that) are cut to 1: nothing reflects more than it receives; `check` reports them.
+    /// Converts a description. A channel that asks for more light than the surface receives (a saturated color of luminance 1
+    /// can) is limited, see [`MaterialParameters::conserving`]; the import warns of it.
     pub fn new(material: &Material) -> Self {
-        let reflectance = |t: &Tinted| product(t, 1.0);
         let parameters = MaterialParameters {
             sides: match material.sides {
                 Sides::One => KernelSides::One,
                 Sides::Two => KernelSides::Two,
             },
-            rd: reflectance(&material.rd),
-            td: reflectance(&material.td),
-            rs: reflectance(&material.rs),
-            ts: reflectance(&material.ts),
+            rd: product(&material.rd),
+            td: product(&material.td),
+            rs: product(&material.rs),
+            ts: product(&material.ts),
             rs_alpha: material.rs_alpha as f32,
             ts_alpha: material.ts_alpha as f32,
             ior: material.ior.map(|i| (i.re as f32, i.im as f32)),
-        };
+        }
+        .conserving();
         let solid = material.sides == Sides::One && material.ior.is_some();
         let matched = solid
             && material.ior.is_some_and(|i| i.re == 1.0 && i.im == 0.0)

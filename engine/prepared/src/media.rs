@@ -10,6 +10,7 @@ use femc_math::color::luminance;
 use femc_math::elementary::{exp, exp_m1, ln, ln_1p};
 use femc_math::glam::{Affine3, Affine3A, Vec3A};
 use femc_scattering::Phase;
+use femc_scene::Medium;
 
 /// Farthest distance along a ray, m: infinity for products that must stay finite.
 pub const FAR: f32 = 1e30;
@@ -106,12 +107,13 @@ pub struct Media {
 /// Media that a path carries because it is inside a closed object: a multiset of medium indices.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Inside {
-    media: [u16; 8],
+    media: [u16; Medium::MOST_NESTED],
     count: u8,
 }
 
 impl Inside {
-    /// Enters `medium`. More than eight nested media are not tracked; the deepest are ignored.
+    /// Enters `medium`. More than [`Medium::MOST_NESTED`] nested media are not tracked: the deepest are
+    /// ignored, which `femc check` says.
     pub fn push(&mut self, medium: u16) {
         if let Some(slot) = self.media.get_mut(usize::from(self.count)) {
             *slot = medium;

@@ -32,10 +32,26 @@ impl Fresnel {
     }
 
     /// Cosine-weighted mean over the hemisphere, `2 int F(c) c dc`, by 512 midpoints in `c^2` (error below 1e-4).
+    ///
+    /// The mean on the denser side of a dielectric follows from that on the other side, `1 - F = eta^2 (1 - F')`: its cone of
+    /// refraction can be narrower than the distance of two midpoints.
     pub fn mean(self) -> f32 {
         const N: u32 = 512;
+        if let Self::Dielectric { eta } = self
+            && eta < 1.0
+        {
+            return 1.0 - self.transmitted_mean();
+        }
         let sum: f64 = (0..N).map(|i| f64::from(self.eval(((f64::from(i) + 0.5) / f64::from(N)).sqrt() as f32))).sum();
         (sum / f64::from(N)) as f32
+    }
+
+    /// `1 - mean()`, without the rounding of that difference for small indices.
+    pub fn transmitted_mean(self) -> f32 {
+        match self {
+            Self::Dielectric { eta } if eta < 1.0 => eta * eta * (1.0 - Self::Dielectric { eta: 1.0 / eta }.mean()),
+            other => 1.0 - other.mean(),
+        }
     }
 }
 

@@ -62,7 +62,7 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
 pub(super) fn failed(error: RenderError) -> Failure {
     match error {
         RenderError::Cancelled => Failure::Cancelled,
-        RenderError::Film(error) => unfit(error),
+        error @ (RenderError::Film(_) | RenderError::Untrusted(_)) => unfit(error),
     }
 }
 

@@ -62,7 +62,7 @@ pub(super) fn step(
         let mut lost = Lost::default();
         let underway = underway(task, tools, world, &mut lost)?;
         let found = found(task, tools, &mut lost)?;
-        solution(task, stage, tools, (world, watch), (&underway, found), &mut product);
+        solution(task, stage, tools, (world, watch), (&underway, found), &mut product)?;
     } else {
         return Err(unfit("the job's graph has a step of a first pass that there is not"));
     }
@@ -99,8 +99,7 @@ fn settle(
         "settled"
     );
     if stage.makes.contains(&Role::Field) {
-        solution(task, stage, tools, (world, watch), (underway, Vec::new()), product);
-        return Ok(());
+        return solution(task, stage, tools, (world, watch), (underway, Vec::new()), product);
     }
     let bytes = tools.install(task, || underway.encode_elements());
     // What follows on this worker goes on with it.
@@ -118,16 +117,19 @@ fn solution(
     ((_, prepared), watch): (World<'_>, &Stopwatch),
     (underway, found): (&Underway, Vec<Found>),
     product: &mut Product,
-) {
-    let (bytes, field) = tools.install(task, || {
+) -> Result<(), Failure> {
+    let solved = tools.install(task, || {
         let solution = underway.solution(prepared, found);
+        solution.verify(prepared)?;
         let bytes = encode_solution(&solution);
         log(&solution.report, bytes.len(), watch);
-        (bytes, Arc::new(solution.field))
+        Ok((bytes, Arc::new(solution.field)))
     });
+    let (bytes, field) = solved.map_err(failed)?;
     // Who has solved it need not fetch it.
     tools.cache.keep_field(Digest::of(&bytes), field);
     product.put(stage, Role::Field, || bytes);
+    Ok(())
 }
 
 /// What rays begin with.

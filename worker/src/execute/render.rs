@@ -56,7 +56,7 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         });
         made.map_err(|error| match error {
             RenderError::Cancelled => Failure::Cancelled,
-            RenderError::Film(error) => unfit(error),
+            error @ (RenderError::Film(_) | RenderError::Untrusted(_)) => unfit(error),
         })
     });
     let (bad_samples, bytes, thumbnail, statistics, layers) = rendered?;

@@ -47,7 +47,7 @@ impl Dielectric {
     pub fn new(eta: f32, ts: Rgb, alpha: f32, rd: Rgb, td: Rgb) -> Self {
         let matched = (eta - 1.0).abs() < MATCHED;
         let (eta, alpha) = if matched { (1.0, 0.0) } else { (eta, alpha) };
-        let transmitted_mean = 1.0 - Fresnel::Dielectric { eta }.mean();
+        let transmitted_mean = Fresnel::Dielectric { eta }.transmitted_mean();
         Self { eta, ts, alpha, rd, td, transmitted_mean }
     }
 

@@ -7,6 +7,7 @@
 pub mod coat;
 pub mod dielectric;
 pub mod diffuse;
+mod energy;
 pub mod mirror;
 pub mod opaque;
 pub mod sheet;
@@ -129,27 +130,54 @@ pub enum Bsdf {
     Dielectric(Dielectric),
 }
 
-impl Bsdf {
-    /// The cheapest member that has these parameters. A solid dielectric (one side, real index, `ts` > 0) reflects F with the
-    /// roughness of `ts`: `rs` and its roughness do not count there.
-    pub fn from_parameters(p: &MaterialParameters) -> Self {
+/// Family of scattering functions, by what a material has: it decides which parameters share the light.
+enum Model {
+    /// Boundary of a solid dielectric.
+    Solid {
+        /// Relative index of refraction.
+        eta: f32,
+    },
+    /// Thin sheet.
+    Sheet {
+        /// Fresnel factor of the reflected specular part.
+        fresnel: Fresnel,
+    },
+    /// Reflection alone.
+    Opaque {
+        /// Fresnel factor of the specular part.
+        fresnel: Fresnel,
+    },
+}
+
+impl MaterialParameters {
+    fn model(&self) -> Model {
         let present = |color: Rgb| color.max_element() > 0.0;
-        // A surface with an index bounds a solid: it exists from both sides.
-        let sides = if p.ior.is_some() { Sides::Two } else { p.sides };
-        let fresnel = match p.ior {
+        let fresnel = match self.ior {
             None => Fresnel::Unit,
             Some((eta, k)) if k > 0.0 => Fresnel::Conductor { eta, k },
             Some((1.0, _)) => Fresnel::Unit,
             Some((eta, _)) => Fresnel::Dielectric { eta },
         };
-        if let (Sides::One, Fresnel::Dielectric { eta }) = (p.sides, fresnel)
-            && present(p.ts)
-        {
-            return Self::Dielectric(Dielectric::new(eta, p.ts, p.ts_alpha, p.rd, p.td));
+        match (self.sides, fresnel) {
+            (Sides::One, Fresnel::Dielectric { eta }) if present(self.ts) => Model::Solid { eta },
+            _ if present(self.ts) => Model::Sheet { fresnel: Fresnel::Unit },
+            _ if present(self.td) => Model::Sheet { fresnel },
+            _ => Model::Opaque { fresnel },
         }
-        if present(p.ts) || present(p.td) {
-            let fresnel = if present(p.ts) { Fresnel::Unit } else { fresnel };
-            return Self::Sheet(Sheet {
+    }
+}
+
+impl Bsdf {
+    /// The cheapest member that has these parameters, limited as by [`MaterialParameters::conserving`]. A solid dielectric (one
+    /// side, real index, `ts` > 0) reflects F with the roughness of `ts`: `rs` and its roughness do not count there.
+    pub fn from_parameters(parameters: &MaterialParameters) -> Self {
+        let p = parameters.conserving();
+        let present = |color: Rgb| color.max_element() > 0.0;
+        // A surface with an index bounds a solid: it exists from both sides.
+        let sides = if p.ior.is_some() { Sides::Two } else { p.sides };
+        match p.model() {
+            Model::Solid { eta } => Self::Dielectric(Dielectric::new(eta, p.ts, p.ts_alpha, p.rd, p.td)),
+            Model::Sheet { fresnel } => Self::Sheet(Sheet {
                 rd: p.rd,
                 td: p.td,
                 coat: Coat::new(p.rs, fresnel),
@@ -157,13 +185,15 @@ impl Bsdf {
                 rs_alpha: p.rs_alpha,
                 ts_alpha: p.ts_alpha,
                 sides,
-            });
-        }
-        match (present(p.rd), present(p.rs)) {
-            (false, false) => Self::Black,
-            (true, false) => Self::Diffuse(Diffuse { rd: p.rd, sides }),
-            (false, true) if p.rs_alpha <= SMOOTH_ALPHA => Self::Mirror(Mirror { rs: p.rs, fresnel, sides }),
-            (_, true) => Self::Opaque(Opaque { rd: p.rd, coat: Coat::new(p.rs, fresnel), alpha: p.rs_alpha, sides }),
+            }),
+            Model::Opaque { fresnel } => match (present(p.rd), present(p.rs)) {
+                (false, false) => Self::Black,
+                (true, false) => Self::Diffuse(Diffuse { rd: p.rd, sides }),
+                (false, true) if p.rs_alpha <= SMOOTH_ALPHA => Self::Mirror(Mirror { rs: p.rs, fresnel, sides }),
+                (_, true) => {
+                    Self::Opaque(Opaque { rd: p.rd, coat: Coat::new(p.rs, fresnel), alpha: p.rs_alpha, sides })
+                }
+            },
         }
     }
 

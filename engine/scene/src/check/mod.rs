@@ -14,6 +14,7 @@ mod lights;
 mod materials;
 mod media;
 mod names;
+mod nested_media;
 mod overlap;
 
 use crate::description::{Location, Scene};
@@ -59,12 +60,14 @@ pub enum FaultKind {
     DuplicateName,
     /// A selector that matches nothing or sets what cannot be.
     BadSelector,
-    /// A material that gives back more light than it gets.
+    /// A material that asks for more light than it receives.
     EnergyGain,
     /// A color with a negative channel.
     OutOfGamut,
     /// A medium that is placed nowhere, or in no volume.
     MediumWithoutBounds,
+    /// Media nested deeper than paths keep count of.
+    NestedMedia,
     /// A medium too thick to see through, or too thin to see.
     OpticalDepth,
     /// The boundary of a solid or a medium with holes in it.
@@ -156,6 +159,7 @@ pub fn check(scene: &Scene) -> Vec<Fault> {
         cameras::check,
         materials::check,
         media::check,
+        nested_media::check,
         lights::check,
         faces::check,
         overlap::check,

@@ -92,4 +92,19 @@ impl Material {
     pub fn reflectance_sum(&self) -> f64 {
         [&self.rd, &self.td, &self.rs, &self.ts].into_iter().map(Tinted::luminous).sum()
     }
+
+    /// Share of the light of a channel (0 red, 1 green, 2 blue) that the parts of the material ask for together. The renderer
+    /// limits a channel that asks for more than 1.
+    ///
+    /// Parts below an interface with an index of refraction get what it does not reflect, so they need no room for it.
+    pub fn asked_of_channel(&self, channel: usize) -> f64 {
+        let [rd, td, rs, ts] =
+            [&self.rd, &self.td, &self.rs, &self.ts].map(|part| (part.amount * part.color[channel]).max(0.0));
+        let index = self.ior.filter(|ior| (ior.re, ior.im) != (1.0, 0.0));
+        match (index, self.sides) {
+            (Some(Ior { im, .. }), Sides::One) if im == 0.0 && self.ts.amount > 0.0 => rd + td + ts,
+            (Some(_), _) if self.ts.amount == 0.0 => (rd + td).max(rs),
+            _ => rd + td + rs + ts,
+        }
+    }
 }

@@ -63,6 +63,9 @@ pub struct Medium {
 }
 
 impl Medium {
+    /// Greatest number of closed solids with media, one in another, whose media a path keeps count of.
+    pub const MOST_NESTED: usize = 8;
+
     /// Extinction coefficient of each channel at density 1, 1/m.
     pub fn extinction(&self) -> [f64; 3] {
         [0, 1, 2].map(|i| self.sigma_s * self.color[i] + self.sigma_a * self.absorption_color[i])

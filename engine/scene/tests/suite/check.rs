@@ -380,3 +380,23 @@ fn the_list_is_in_the_order_of_the_files() {
     let places: Vec<(u32, u32)> = check(&scene).iter().map(|f| (f.location.file, f.location.line)).collect();
     assert_eq!(places, [(0, 9), (0, 20), (0, 40), (1, 1)]);
 }
+
+#[test]
+fn media_nested_deeper_than_paths_count_are_found_and_as_many_as_they_count_are_not() {
+    for (solids, found) in [(Medium::MOST_NESTED, 0), (Medium::MOST_NESTED + 1, 1)] {
+        let mut scene = lit_floor();
+        for k in 0..solids as u32 {
+            scene.media.push(medium(&format!("ink {k}"), 40));
+            let inside = Some(MediumId(k));
+            scene.materials.push(Material { name: format!("glass {k}"), inside, ..glass(41) });
+            let radius = 1.0 - 0.05 * f64::from(k);
+            let shape = Shape::Sphere { center: DVec3::Z * 2.0, radius, facing: Facing::Outward };
+            let material = scene.materials.len() as u32 - 1;
+            add_quadric(&mut scene, shape, material, 50 + k);
+        }
+        let nested: Vec<_> = check(&scene).into_iter().filter(|fault| fault.kind == K::NestedMedia).collect();
+        assert_eq!(nested.len(), found, "{nested:?}");
+        let lines: Vec<u32> = nested.iter().map(|fault| fault.location.line).collect();
+        assert_eq!(lines, vec![50 + Medium::MOST_NESTED as u32; found], "the innermost solid");
+    }
+}

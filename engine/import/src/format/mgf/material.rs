@@ -88,9 +88,7 @@ impl Reader<'_> {
         }
         let id = MaterialId(self.scene.materials.len() as u32);
         entries.push(id);
-        let tinted = [material.rd, material.td, material.rs, material.ts];
-        let channel = |k: usize| tinted.iter().map(|t| t.amount * t.color[k]).sum::<f64>();
-        let brightest = (0..3).map(channel).fold(0.0, f64::max);
+        let brightest = (0..3).map(|channel| material.asked_of_channel(channel)).fold(0.0, f64::max);
         if brightest > CHANNEL {
             let at = self.position(material.location);
             self.warnings.push(at, Oddity::ChannelAboveOne { sum: brightest });

@@ -5,12 +5,19 @@ use femc_math::elementary::atan2;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
 
+/// A polygon that rises above the horizon of a point by less than this share of its distance lies in the plane of the point: it
+/// sends nothing there. Lambert's formula has no value for it: a two-sided lamp would light itself.
+const IN_PLANE: f32 = 1e-5;
 /// A surface farther than this many times its radius is taken as a point.
 const FAR: f32 = 30.0;
 
 /// Lambert's formula: form factor from a point with unit normal to a polygon, which sends from the side that sees its corners
 /// counter-clockwise; the part below the point's horizon is cut off. At most 1.
 pub fn polygon(point: Vec3A, normal: Vec3A, corners: &[Vec3A]) -> f32 {
+    let reach = corners.iter().map(|&corner| (corner - point).length()).fold(0.0, f32::max);
+    if corners.iter().all(|&corner| normal.dot(corner - point) <= IN_PLANE * reach) {
+        return 0.0;
+    }
     // By rounding a polygon in the horizon may cross it at every edge.
     let mut above = [Vec3A::ZERO; 8];
     let mut count = 0;
@@ -61,6 +68,20 @@ pub fn is_near(distance2: f32, radius: f32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_polygon_in_the_plane_of_a_point_sends_nothing_there_whichever_way_it_faces() {
+        let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, y]| Vec3A::new(x, y, 1e-7));
+        let mut back = square;
+        back.reverse();
+        for corners in [square, back] {
+            for at in [Vec3A::ZERO, Vec3A::new(0.9, 0.3, 0.0), Vec3A::new(1.0, 1.0, 0.0), Vec3A::new(1.5, 0.0, 0.0)] {
+                assert_eq!((polygon(at, Vec3A::Z, &corners), polygon(at, -Vec3A::Z, &corners)), (0.0, 0.0), "{at}");
+            }
+        }
+        let near = back.map(|corner| Vec3A::new(corner.x, corner.y, 1e-3));
+        assert!(polygon(Vec3A::ZERO, Vec3A::Z, &near) > 0.99, "a lamp a millimeter above a point fills its sky");
+    }
 
     /// Corner unit square at height 1 above a point: 0.1385316 (brief A4).
     #[test]

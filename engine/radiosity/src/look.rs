@@ -1,12 +1,12 @@
 //! A solution as an eye would see it: what arrives at a point of an element, and what it sends.
 
-use crate::scene::{TIME, scattered};
+use crate::scene::{BETWEEN, TIME, scattered};
 use crate::solve::Solution;
 use femc_field::{Cell, Form, Leaf, NONE, Side, Surface, SurfaceSpot};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
-use femc_prepared::Prepared;
+use femc_prepared::{KernelMaterial, Prepared};
 use std::f32::consts::FRAC_1_PI;
 
 /// Irradiance, lx by channel of linear Rec.709.
@@ -56,13 +56,16 @@ pub struct Look<'a> {
     pub(crate) solution: &'a Solution,
     /// Reflected and transmitted share by material.
     scattered: Vec<(Rgb, Rgb)>,
+    /// Absorbed share by material: what mirrors and clear panes pass on is not absorbed.
+    absorbed: Vec<Rgb>,
 }
 
 impl<'a> Look<'a> {
     /// - `prepared`: the frame that `solution` was found for.
     pub fn new(prepared: &'a Prepared, solution: &'a Solution) -> Self {
         let scattered = prepared.materials.iter().map(|material| scattered(&material.bsdf)).collect();
-        Self { prepared, solution, scattered }
+        let absorbed = |material: &KernelMaterial| (Rgb::ONE - material.bsdf.albedo(BETWEEN)).max(Rgb::ZERO);
+        Self { prepared, solution, scattered, absorbed: prepared.materials.iter().map(absorbed).collect() }
     }
 
     /// What arrives at a point of a leaf.
@@ -134,8 +137,7 @@ impl<'a> Look<'a> {
                 continue;
             }
             counts.push(parts.len());
-            let (reflected, transmitted) = self.scattered[surface.material as usize];
-            let kept = (Rgb::ONE - reflected - transmitted).max(Rgb::ZERO);
+            let kept = self.absorbed[surface.material as usize];
             for (leaf, outline) in parts {
                 let area = f64::from(surface.area() * outline.edges[0].perp_dot(outline.edges[1]).abs());
                 let at = |local: &Vec2| self.irradiance(leaf, *local, surface.at(outline.at(*local)).normal).total();

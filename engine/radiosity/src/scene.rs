@@ -113,10 +113,12 @@ impl<'a> Scene<'a> {
     }
 }
 
+/// Direction halfway between the normal and grazing, by solid angle.
+pub const BETWEEN: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
+
 /// Diffuse reflectance and transmittance, with what is reflected with a gloss; mirrors and clear solids give nothing.
 pub fn scattered(bsdf: &Bsdf) -> (Rgb, Rgb) {
-    // Halfway between along the normal and grazing, by solid angle.
-    let wo = Vec3A::new(0.866_025_4, 0.0, 0.5);
+    let wo = BETWEEN;
     match bsdf {
         Bsdf::Black | Bsdf::Mirror(_) | Bsdf::Dielectric(_) => (Rgb::ZERO, Rgb::ZERO),
         Bsdf::Diffuse(it) => (it.rd, Rgb::ZERO),

@@ -4,7 +4,7 @@
 //! fails either is no basis for pictures, and none for decisions of path tracing: what it says of one place is as wrong as the whole.
 
 use crate::look::{Look, Summary};
-use crate::solve::{Report, Solution};
+use crate::solve::{RESIDUAL, Report, Solution};
 use femc_prepared::Prepared;
 
 /// Flux that surfaces may keep over the flux that is sent. Links are approximate: sound solutions of closed rooms keep up to a
@@ -12,7 +12,7 @@ use femc_prepared::Prepared;
 pub const MOST_KEPT: f64 = 1.1;
 /// Light that further iterations may bring, as a share of all light. Where surfaces take hardly any light, iterations end with
 /// some of it still on its way.
-pub const MOST_LEFT: f32 = 0.1;
+pub const MOST_LEFT: f32 = 0.02;
 
 /// Reason why a solution cannot be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -43,8 +43,10 @@ impl Solution {
 }
 
 fn verdict(report: &Report, light: &Summary) -> Result<(), Untrusted> {
-    let Report { iterations, residual, .. } = *report;
-    if !residual.is_finite() || residual > MOST_LEFT {
+    let Report { iterations, residual, bounded, .. } = *report;
+    // Light that grew, was bounded, and goes on changing has no state to come to rest in.
+    let most = if bounded { RESIDUAL } else { MOST_LEFT };
+    if !residual.is_finite() || residual > most {
         return Err(Untrusted::Restless { iterations, residual });
     }
     let ratio = light.absorbed / light.emitted;
@@ -76,5 +78,7 @@ mod tests {
         assert!(matches!(of(1e-5, 0.0, 1.0), Err(Untrusted::Gains { .. })), "light from nothing");
         assert_eq!(of(0.5, 100.0, 50.0), Err(Untrusted::Restless { iterations: 7, residual: 0.5 }));
         assert!(matches!(of(f32::NAN, 100.0, 50.0), Err(Untrusted::Restless { .. })));
+        let (bounded, light) = (Report { residual: 0.01, bounded: true, ..Report::default() }, Summary::default());
+        assert!(matches!(verdict(&bounded, &light), Err(Untrusted::Restless { .. })));
     }
 }

@@ -9,6 +9,7 @@ mod first_pass;
 mod fuzz;
 mod honesty;
 mod layers;
+mod materials;
 mod modules;
 mod pairs;
 mod parts;

@@ -1,0 +1,155 @@
+//! Energy of materials from the scene file to the picture: no channel of any material returns more than it receives.
+
+use femc_film::Frame;
+use femc_math::Rgb;
+use femc_math::glam::Vec3A;
+use femc_pipeline::radiosity::{Options, solve};
+use femc_pipeline::{Method, Prepared, Settings, Source, Stop, plan, prepare, render_tile};
+use femc_prepared::KernelMaterial;
+use femc_tests::rng::Rng;
+use femc_tests::scene;
+use std::fmt::Write as _;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// A number in [0, 1).
+fn unit(rng: &mut Rng) -> f64 {
+    (rng.bits() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Lines that set a color: saturated chromaticities near the corners of Rec.709, spectral ones outside of it, or raw colors.
+fn color(rng: &mut Rng) -> String {
+    let corners = [(0.64, 0.33), (0.30, 0.60), (0.15, 0.06), (0.7, 0.29), (0.17, 0.01), (0.3127, 0.329)];
+    let (x, y) = corners[(6.0 * unit(rng)) as usize];
+    match unit(rng) {
+        u if u < 0.15 => " c\n".to_owned(),
+        u if u < 0.3 => format!(" c\n crgb {:.3} {:.3} {:.3}\n", 4.0 * unit(rng), 4.0 * unit(rng), 4.0 * unit(rng)),
+        _ => format!(" c\n cxy {x} {y}\n"),
+    }
+}
+
+/// A material of the scene format; sums of luminances above 1 are the import's to scale.
+/// - `opaque`: without transmittance, two-sided.
+fn material(rng: &mut Rng, name: &str, opaque: bool) -> String {
+    let mut text = format!("m {name} =\n");
+    let sides = if opaque || unit(rng) < 0.5 { 2 } else { 1 };
+    let _ = writeln!(text, " sides {sides}");
+    let kinds: &[&str] = if opaque { &["rd", "rs"] } else { &["rd", "td", "rs", "ts"] };
+    for kind in kinds {
+        if unit(rng) < 0.3 {
+            continue;
+        }
+        let roughness = [0.0, 1.0, 1e-3 * unit(rng), unit(rng), 0.3 * unit(rng)][(5.0 * unit(rng)) as usize];
+        let rest = if kind.ends_with('s') { format!(" {roughness:.5}") } else { String::new() };
+        let _ = writeln!(text, "{} {kind} {:.4}{rest}", color(rng), unit(rng));
+    }
+    let index = match unit(rng) {
+        u if u < 0.5 => None,
+        u if u < 0.6 => Some((1.0, 0.0)),
+        u if u < 0.8 => Some((0.3 + 2.5 * unit(rng), 0.0)),
+        u if u < 0.85 => Some((10f64.powf(4.0 * unit(rng) - 2.0), 0.0)),
+        _ => Some((0.05 + 3.0 * unit(rng), 5.0 * unit(rng))),
+    };
+    if let Some((re, im)) = index {
+        let _ = writeln!(text, " ir {re:.4} {im:.4}");
+    }
+    text
+}
+
+/// Directional albedo by `n^3` stratified samples, with the square of the index of refraction taken out.
+fn albedo(kernel: &KernelMaterial, texel: Option<Rgb>, wo: Vec3A, n: u32) -> Rgb {
+    let bsdf = texel.map_or(kernel.bsdf, |texel| kernel.textured(texel));
+    let at = |k: u32| (k as f32 + 0.5) / n as f32;
+    let mut sum = Rgb::ZERO;
+    for k in 0..n * n * n {
+        if let Some(s) = bsdf.sample(wo, [at(k % n), at(k / n % n)], at(k / n / n)) {
+            assert!(s.weight.is_finite() && s.pdf > 0.0, "{kernel:?}, {wo}: {s:?}");
+            sum += s.weight * s.eta * s.eta;
+        }
+    }
+    sum / (n * n * n) as f32
+}
+
+#[test]
+fn ten_thousand_materials_of_the_format_return_no_more_than_they_receive() {
+    let (mut rng, mut limited, mut worst) = (Rng::new(50), 0, 0.0f32);
+    for _ in 0..20 {
+        let text: String = (0..500).map(|k| material(&mut rng, &format!("m{k}"), false) + "v a =\nsph a 1\n").collect();
+        for description in &scene(&text).materials {
+            limited += u32::from((0..3).any(|channel| description.asked_of_channel(channel) > 1.001));
+            let kernel = KernelMaterial::new(description);
+            let wo = Vec3A::new(0.0, unit(&mut rng) as f32 * 0.999, 0.0);
+            let z = (1.0 - wo.y * wo.y).sqrt() * if unit(&mut rng) < 0.5 { -1.0 } else { 1.0 };
+            let wo = wo + Vec3A::Z * z;
+            // Texture values above 1 are cut.
+            let texel = Rgb::new(1.5, unit(&mut rng) as f32, 40.0);
+            for texel in [None, Some(texel)] {
+                if albedo(&kernel, texel, wo, 5).max_element() > 1.02 {
+                    worst = worst.max(albedo(&kernel, texel, wo, 40).max_element() - 1.0);
+                    assert!(worst <= 5e-3, "gain {worst} from {wo} with {texel:?}: {description:?}");
+                }
+            }
+        }
+    }
+    println!("{limited} of 10000 materials are limited; largest gain {worst}");
+    assert!(limited > 2500);
+}
+
+/// A closed room of one material around a black lamp of 1000 lm/m2.
+fn room(material: &str) -> String {
+    format!(
+        "{material}m lamp =\n sides 1\n c\n ed 1000\nv a =\n p -2 -2 0\nv b =\n p 2 -2 0\nv c =\n p 2 2 0\nv d =\n p -2 2 0\n\
+         m wall\nprism d c b a 3\nv o =\n p 0 0 2\nm lamp\nsph o .4\n\
+         camera main =\n origin 1.5 -1.5 1\n target 0 0 1\n fov 60\n film 8 8\n"
+    )
+}
+
+fn picture(prepared: &Prepared, settings: &Settings) -> Frame {
+    let plan = plan(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
+    let (cancel, progress, mut film) = (AtomicBool::new(false), AtomicU64::new(0), Frame::new(plan.tiling));
+    for rect in plan.tiling.rects() {
+        let done = render_tile(prepared, settings, rect, 0..16, &cancel, &progress);
+        film.insert(done.unwrap_or_else(|error| panic!("{error}")).tile).unwrap_or_else(|error| panic!("{error}"));
+    }
+    film
+}
+
+#[test]
+fn rooms_of_random_materials_are_no_brighter_than_their_lamp_and_have_no_bad_sample() {
+    let mut rng = Rng::new(51);
+    for k in 0..60 {
+        let text = room(&material(&mut rng, "wall", true));
+        let source = Source::new(scene(&text));
+        let settings = Settings { stop: Stop::Spp(16), method: Method::Pt, ..Settings::default() };
+        let prepared = prepare(&source, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
+        let film = picture(&prepared, &settings);
+        assert_eq!(film.bad().total(), 0, "{k}: {text}");
+        let pixels = film.resolve().color.pixels;
+        let mean = pixels.iter().map(|p| Rgb::from_array(*p)).sum::<Rgb>() / pixels.len() as f32;
+        // The lamp's radiance bounds the mean of each channel; its noise of 1024 samples is a few percent.
+        assert!(mean.max_element() <= 1.1 * 1000.0 / std::f32::consts::PI, "{k}: {mean}: {text}");
+        let solved = solve(&prepared, &Options::default(), &AtomicBool::new(false)).expect("nobody cancels");
+        let kept = solved.verify(&prepared);
+        assert!(kept.is_ok() || solved.report.bounded, "{k}: {kept:?}: {:?}: {text}", solved.report);
+    }
+}
+
+#[test]
+fn walls_that_shine_from_both_sides_light_their_room_as_walls_that_shine_inward() {
+    for albedo in [0.5, 0.9, 0.985] {
+        let mean = |sides: u32| {
+            let text = format!(
+                "camera main =\n origin .3 .2 .1\n target 1 .4 0\n fov 60\n film 8 8\nm wall =\n sides {sides}\n c\n rd {albedo}\n\
+                 ed 3.14159265358979\nv a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\n\
+                 prism a b c d -2\n"
+            );
+            let settings = Settings { stop: Stop::Spp(16), method: Method::Fem, ..Settings::default() };
+            let prepared = prepare(&Source::new(scene(&text)), &settings, 1, None).unwrap_or_else(|e| panic!("{e}"));
+            let image = picture(&prepared, &settings).resolve().color;
+            let n = image.pixels.len();
+            (0..n).map(|at| f64::from(image.luminance(at))).sum::<f64>() / n as f64
+        };
+        let ([one, two], want) = ([mean(1), mean(2)], 1.0 / (1.0 - albedo));
+        println!("albedo {albedo}: {one:.4} and {two:.4}, wanted {want:.4}");
+        assert!((one / want - 1.0).abs() < 0.03 && (two / want - 1.0).abs() < 0.03, "{albedo}: {one} {two} {want}");
+    }
+}

@@ -59,14 +59,17 @@ fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> Result<Vec<u8>, String> {
 /// characters but blanks.
 fn unmarked_utf16(bytes: &[u8]) -> Option<Vec<u8>> {
     let padding = bytes.iter().rev().take_while(|&&byte| matches!(byte, 0 | END_OF_FILE)).count();
-    let mut body = bytes[..bytes.len() - padding].to_vec();
+    let body = &bytes[..bytes.len() - padding];
+    if !body.contains(&0) {
+        return None;
+    }
     let zeros = |parity: usize| body.iter().skip(parity).step_by(2).filter(|&&byte| byte == 0).count();
     let unit = match [zeros(0), zeros(1)] {
-        [0, 0] => return None,
         [0, odd] if 2 * odd >= body.len() / 2 => u16::from_le_bytes,
         [even, 0] if 2 * even >= body.len() / 2 => u16::from_be_bytes,
         _ => return None,
     };
+    let mut body = body.to_vec();
     if body.len() % 2 == 1 {
         // The high byte of the last character of little-endian text went with the padding.
         body.push(0);

@@ -3,7 +3,8 @@
 //! LM-63 takes a comma as a separator, so `1200,5` is two numbers. A file says how many numbers it has: 13, the angles, and
 //! an intensity for every pair of them. With `v` and `h` angles these are `(v + 1) (h + 1) + 12`. One number too many or too
 //! few in any place makes a total that the counts it then announces cannot have, so a file with decimal commas is never read
-//! as a lamp of another flux: its reading ends in an error. This module finds the errors that decimal commas caused.
+//! as a lamp of another flux: its reading ends in an error. This module finds the errors that decimal commas caused. (Only
+//! the count of tilt factors may be changed to one that happens to fit.)
 
 use super::numbers::{Comma, Numbers, decimal_end};
 use crate::{Fault, ImportError, Position};

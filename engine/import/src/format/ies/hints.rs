@@ -28,7 +28,7 @@ pub(super) fn normalized(fields: &Fields, lumens: f64) -> Option<Remark> {
     let is_1000 = |lumens: f64| (lumens / 1000.0 - 1.0).abs() <= EQUAL;
     let gives = if is_1000(lumens) {
         "this file gives exactly 1000 lm".to_owned()
-    } else if is_1000(fields.lumens) && fields.multiplier == 1.0 {
+    } else if is_1000(fields.lumens) && fields.multiplier == 1.0 && lumens > 0.0 {
         format!("this file gives {lumens:.0} lm from lamps of exactly 1000 lm")
     } else {
         return None;

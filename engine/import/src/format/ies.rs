@@ -120,7 +120,8 @@ pub(crate) fn parse(path: &str, text: &[u8], open: &mut dyn FnMut(&str) -> Named
         })?;
     remarks.append(more);
     let lumens = flux::lumens(&photometry);
-    remarks.warnings.extend(hints::doubtful_flux(&fields, lumens));
+    remarks.warnings.extend(hints::no_light(&fields, lumens));
+    remarks.notes.extend(hints::more_than_lamps(&fields, lumens));
     let normalized = hints::normalized(&fields, lumens);
     Ok(Luminaire { photometry, tilt: included_tilt.or(named_tilt), remarks, normalized })
 }

@@ -116,7 +116,6 @@ fn odd_files_are_taken_with_a_remark() {
         "TILT=NONE\n1 -1 1 2 1 1 2 0 0 0 1 0 1 0 90 0 5 5\n".into(),
         "TILT=NONE\n1 -1 1 2 1 1 2 0 0 0 1 1 1 0 90 0 5 -5\n".into(),
         "TILT=NONE\n1 -1 1 2 1 1 2 0 0 0 1 1 1 0 90 0 0 0\n".into(),
-        "TILT=NONE\n1 20 1 2 1 1 2 0 0 0 1 1 1 0 180 0 5 5\n".into(),
     ] {
         let lamp = read(&text).unwrap();
         assert_eq!(warnings(&lamp).len(), 1, "{text}: {:?}", warnings(&lamp));

@@ -52,7 +52,7 @@ fn every_field_of_every_edition_counts_or_is_said() {
         (1, "-1.0", all(Scales(1.0))),
         (1, "0", all(Warns(1.0))),
         (1, "-2", all(Warns(1.0))),
-        (1, "10", all(Warns(1.0))),
+        (1, "10", all(Notes(1.0))),
         // Candela multiplier.
         (2, "2.5", all(Scales(2.5))),
         (2, "0", all(Fails)),
@@ -196,5 +196,6 @@ fn a_file_of_1000_lumens_has_a_hint() {
     assert!(even("-1", "1", 1.002 * candela).is_none() && even("-1", "1", 0.998 * candela).is_none());
     assert!(even("-1", "2", 0.5 * candela).is_some());
     assert!(even("1000", "1", 0.7 * candela).unwrap().1.contains("700 lm from lamps of exactly 1000 lm"));
+    assert!(even("1000", "1", 1.2 * candela).is_none(), "that is more than its lamps have");
     assert!(even("1000", "2.4", 0.7 * candela).is_none() && even("1100", "1", 0.7 * candela).is_none());
 }

@@ -290,7 +290,7 @@ pub enum Fault {
         found: String,
         /// Numbers that follow.
         numbers: u64,
-        /// What the file ends with.
+        /// Name of the last number.
         last: &'static str,
     },
     /// A feature that is not there.

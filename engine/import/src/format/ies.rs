@@ -30,7 +30,7 @@ pub(crate) struct Luminaire {
     pub photometry: Photometry,
     /// How the lamp's output depends on the luminaire's tilt.
     pub tilt: Option<Tilt>,
-    /// What was odd or worth a word.
+    /// Warnings and notes about its data.
     pub remarks: Remarks,
     /// A hint for a lamp that is not scaled: the file may be normalized to 1000 lm.
     pub normalized: Option<Remark>,

@@ -119,7 +119,7 @@ fn separators() -> impl Strategy<Value = Vec<&'static str>> {
     prop::collection::vec(prop::sample::select(&SEPARATORS[..]), 1..9)
 }
 
-/// What goes wrong with a file.
+/// Damage to the numbers of a file.
 #[derive(Clone, Copy, Debug)]
 enum Corruption {
     Twice,

@@ -3,10 +3,10 @@
 use super::{Remarks, edition::Edition};
 use crate::{Fault, ImportError, Position};
 
-/// How a file names its edition.
+/// Source of a file's edition.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Named {
-    /// A line names it, or a later one that is read as this one.
+    /// A line names it.
     Line,
     /// No line names an edition: a file of 1986. Keywords were not in that edition yet.
     Nowhere {
@@ -20,7 +20,7 @@ pub(super) enum Named {
     },
 }
 
-/// What stands above the numbers.
+/// Content of the lines above the numbers.
 pub(super) struct Header<'t> {
     /// `Unclear` has the edition of 2002, whose shapes are those of 2019.
     pub edition: Edition,
@@ -51,7 +51,8 @@ impl<'t> Header<'t> {
             }
             keywords |= this.starts_with(b"[");
             let year = if named.is_none() { edition_year(this) } else { None };
-            if let Some(year) = year {
+            // Below the first line, words about LM-63 without a year are a label.
+            if let Some(year) = year.filter(|year| first_text || year.is_some()) {
                 let shown = String::from_utf8_lossy(this).into_owned();
                 let read = year.and_then(Edition::of_year);
                 if let Some(edition) = read.filter(|edition| Some(edition.year()) != year) {

@@ -5,7 +5,7 @@
 
 use crate::{Fault, ImportError, Position};
 
-/// How commas are read.
+/// Meaning of a comma.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Comma {
     /// A comma separates numbers: the rule of LM-63.

@@ -6,7 +6,7 @@ use super::{super::edition::Edition, super::opening::opening, *};
 const LINES: [&str; 5] = ["", "IESNA91\n", "IESNA:LM-63-1995\n", "IESNA:LM-63-2002\n", "IES:LM-63-2019\n"];
 const FIELDS: [&str; 13] = ["1", "-1", "1", "3", "1", "1", "2", "0", "0", "0", "1", "1", "20"];
 
-/// What a value does to a file.
+/// Effect of a value on a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Does {
     /// Intensities are the file's times this.
@@ -127,6 +127,7 @@ fn a_file_that_does_not_name_its_edition_well_is_read_with_a_word_or_refused() {
         ("a label\nanother label\n", Scales(1.0), Scales(1.1)),
         ("[TEST] no first line\n", Scales(1.0), Warns(1.1)),
         ("IESNA:LM-63\n[TEST] no year\n", Scales(1.0), Fails),
+        ("a lamp\nIES LM-63 data\n", Scales(1.0), Scales(1.1)),
         ("\u{feff}IES:LM-63-2019\n", Scales(1.0), Scales(1.0)),
         ("IES:LM-63-2019\n[TEST] joined\n\u{feff}", Scales(1.0), Scales(1.0)),
     ] {

@@ -1,4 +1,5 @@
-//! Mutates a built-in corpus of scenes and photometric files, imports, checks and surveys the results; a panic is a finding.
+//! Mutates a built-in corpus of scenes and photometric files in all editions and encodings, imports, checks and surveys the
+//! results; a panic is a finding.
 //!
 //! `cargo run --release -p femc-import --example fuzz_import -- --seconds 600 --seed 1`
 

@@ -271,6 +271,28 @@ pub enum Fault {
         /// What to do.
         advice: &'static str,
     },
+    /// A number of a photometric file with a decimal comma.
+    #[error(
+        "`{found}`: decimal commas cannot be read, as a comma separates two numbers in LM-63 files; write decimal points \
+         (`0.5`), and a blank after a comma that separates"
+    )]
+    DecimalComma {
+        /// As written.
+        found: String,
+    },
+    /// More in a photometric file than it announces.
+    #[error(
+        "{} the last {last} that the file announces; correct its numbers of angles, or remove what does not belong to it",
+        left_over(found, *numbers)
+    )]
+    LeftOver {
+        /// The first field.
+        found: String,
+        /// Numbers that follow.
+        numbers: u64,
+        /// Name of the last number.
+        last: &'static str,
+    },
     /// A feature that is not there.
     #[error("{what} is not supported yet; {advice}")]
     Unsupported {
@@ -279,6 +301,14 @@ pub enum Fault {
         /// What to do.
         advice: &'static str,
     },
+}
+
+fn left_over(found: &str, numbers: u64) -> String {
+    match numbers {
+        0 => format!("`{found}` follows"),
+        1 => "1 number follows".to_owned(),
+        n => format!("{n} numbers follow"),
+    }
 }
 
 fn advice(nearest: &[String]) -> String {

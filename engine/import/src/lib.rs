@@ -11,6 +11,7 @@ mod files;
 mod format;
 mod image;
 mod scene_path;
+mod text;
 mod warning;
 
 pub use bundle::{Bundle, BundleError};

@@ -2,7 +2,7 @@
 
 use crate::Position;
 use femc_scene::Standpoint;
-use std::fmt;
+use std::{borrow::Cow, fmt};
 
 /// Something odd at some place. Displays as `file:line:column: what`.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,7 +87,7 @@ pub enum Oddity {
     /// Photometric data outside the letter of LM-63 that has a clear meaning.
     Photometry {
         /// What was found and what was made of it.
-        what: &'static str,
+        what: Cow<'static, str>,
     },
     /// A textured material on a surface without texture coordinates; said once per material.
     NoTextureCoordinates {
@@ -183,7 +183,8 @@ impl fmt::Display for Oddity {
             Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; closed at the end of its file"),
             Self::Replaced { what } => write!(f, "{what} replaces an earlier one"),
             Self::NotTransformed { what } => write!(f, "{what} inside `xf`: it stays in world coordinates"),
-            Self::Photometry { what } | Self::Texture { what } => f.write_str(what),
+            Self::Photometry { what } => f.write_str(what),
+            Self::Texture { what } => f.write_str(what),
             Self::DefaultCamera { standpoint, origin, target } => {
                 let from = match standpoint {
                     Standpoint::Inside => "inside the closed room",

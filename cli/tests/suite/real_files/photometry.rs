@@ -1,1 +1,91 @@
 //! LM-63 files whose flux depends on the edition, on separators or on the encoding.
+
+use super::{place, said};
+use crate::common::Place;
+use serde_json::Value;
+
+/// Lumens of the only lamp of a scene, and everything that `check` says.
+fn lumens(place: &Place, scene: &str) -> (f64, Value) {
+    let report = place.run(&format!("check {scene} --json")).exits(0).json();
+    let [lamp] = report["lamps"].as_array().expect("lamps").as_slice() else { panic!("one lamp: {report}") };
+    (lamp["lumens"].as_f64().expect("a number"), report)
+}
+
+fn assert_lumens(place: &Place, scene: &str, expected: f64) {
+    let (lumens, report) = lumens(place, scene);
+    assert!((lumens - expected).abs() < 0.5, "{scene}: {lumens} lm, not {expected} lm");
+    assert_eq!((&report["warnings"], &report["notes"]), (&Value::from(0), &Value::from(0)), "{scene}: {report}");
+}
+
+#[test]
+fn the_field_after_the_ballast_factor_counts_in_1991_and_is_a_code_in_2019() {
+    let place = place();
+    assert_lumens(&place, "flux-2019.mgf", 2290.0);
+    assert_lumens(&place, "flux-1991.mgf", 2519.0);
+}
+
+#[test]
+fn a_reserved_field_that_is_not_1_is_a_warning_and_no_factor() {
+    let place = place();
+    let file = std::fs::read_to_string(place.path("lamp-1991.ies")).expect("a file");
+    for line in ["IESNA:LM-63-1995", "IESNA:LM-63-2002"] {
+        place.write("lamp-1991.ies", &file.replace("IESNA91", line));
+        let (lumens, report) = lumens(&place, "flux-1991.mgf");
+        assert!((lumens - 2290.0).abs() < 0.5, "{line}: {lumens} lm");
+        let [fault] = report["faults"].as_array().expect("faults").as_slice() else { panic!("one fault: {report}") };
+        let year = &line[line.len() - 4..];
+        let message = fault["message"].as_str().expect("a message");
+        assert!(message.contains(&format!("is 1.1: it is reserved in the edition of {year}")), "{message}");
+        assert_eq!((&fault["severity"], &fault["line"]), (&Value::from("warning"), &Value::from(5)), "{fault}");
+    }
+}
+
+#[test]
+fn decimal_commas_are_named_and_commas_that_separate_work() {
+    let place = place();
+    assert_lumens(&place, "flux-points.mgf", 2549.0);
+    assert_lumens(&place, "flux-separators.mgf", 2549.0);
+    let said = said(&place.run("check flux-commas.mgf").exits(1));
+    assert!(said.contains("lamp-commas.ies:8:1: `1200,5`: decimal commas cannot be read"), "{said}");
+    assert!(said.contains("write decimal points"), "{said}");
+}
+
+#[test]
+fn old_line_ends_utf_16_and_byte_order_marks_are_read_in_lamps_and_scenes() {
+    let place = place();
+    for scene in ["flux-cr.mgf", "flux-utf16.mgf", "flux-bom.mgf", "scene-cr.mgf", "scene-utf16.mgf"] {
+        assert_lumens(&place, scene, 2549.0);
+    }
+    let bounds = |scene: &str| place.run(&format!("check {scene} --json")).exits(0).json()["bounds"].clone();
+    let expected = bounds("flux-points.mgf");
+    assert!(expected["min"][0] == Value::from(-2.0), "{expected}");
+    assert_eq!([bounds("scene-cr.mgf"), bounds("scene-utf16.mgf")], [expected.clone(), expected]);
+}
+
+#[test]
+fn what_follows_the_last_intensity_is_an_error() {
+    let place = place();
+    let file = std::fs::read_to_string(place.path("lamp-points.ies")).expect("a file");
+    place.write("lamp-points.ies", &format!("{file}END\n"));
+    assert_lumens(&place, "flux-points.mgf", 2549.0);
+    place.write("lamp-points.ies", &format!("{file}0.5\n"));
+    let said = said(&place.run("check flux-points.mgf").exits(1));
+    assert!(said.contains("lamp-points.ies:9:1: 1 number follows the last intensity"), "{said}");
+}
+
+#[test]
+fn a_file_of_exactly_1000_lumens_has_a_hint_unless_it_is_scaled() {
+    let place = place();
+    let file = std::fs::read_to_string(place.path("lamp-point.ies")).expect("a file");
+    place.write("lamp-point.ies", &file.replace("100 100", "79.577 79.577"));
+    let scene = "ies lamp-point.ies -t 0 0 2\n";
+    place.write("hint.mgf", scene);
+    let checked = said(&place.run("check hint.mgf").exits(0));
+    assert!(checked.contains("lamp-point.ies:4: note: this file gives exactly 1000 lm"), "{checked}");
+    assert!(checked.contains("as in `ies FILE -m 2.5` for 2500 lm"), "{checked}");
+    let rendered = said(&place.run("render hint.mgf -o hint.exr --size 4x4 --spp 1").exits(0));
+    assert!(rendered.contains("note: lamp-point.ies:4:3: this file gives exactly 1000 lm"), "{rendered}");
+    place.write("hint.mgf", &scene.replace(".ies", ".ies -m 2.5"));
+    let (lumens, report) = lumens(&place, "hint.mgf");
+    assert!((lumens - 2500.0).abs() < 1.0 && !report.to_string().contains("1000 lm"), "{report}");
+}

@@ -47,6 +47,11 @@ const LAMPS: &[&str] = &[
     "IESNA91\nTILT=INCLUDE\n1\n2\n0 90\n1 .8\n2 -1 1 3 3 2 1 -.5 0 0\n.9 .95 100\n-90 0 90\n-90 0 90\n1 2 3 4 5 6\n7 8 9\n",
     "TILT=NONE\n1 1 1 2 4 1 1 -1 -1 -1 1 1 1\n0 180\n0,90,180,270 1 2 3 4 5 6 7 8",
     "[X]\nTILT=bend.tlt\n1 1 1 2 1 3 2 0 0 0 1 1 1 0 90 0 3 4\n",
+    "IES:LM-63-2019\n[TEST] 1\n[TESTLAB] 2\nTILT=NONE\n1 -1 1 3 1 1 2 -.2 -.2 0\n1 1.10000 60\n0 45 90\n0\n79.6 79.6 79.6\nEND\n",
+    "IESNA:LM-63-1995\nTILT=NONE\n1 1000 1 3 2 1 1 0 .6 -.1\n.95 0.9 60\n0, 45, 90\n0, 180\n100.5, 80.25, 10\n90.5, 70, 5\n",
+    "IESNA:LM-63-2002\nTILT=NONE\n1 -1 1,0 3 1 1 2 0 0 0\n1 1 20,5\n0 22,5 90\n0\n1200,5 900,25 0,5\n",
+    "IESNA95\n\nTILT=INCLUDE\n3 2 -45 90 1 ,8\n1 900 1 2 2 2 1 -.5 -.1 -.3\n1 1 1\n-90 90\n0 90\n1 2 3 4 5\n",
+    "IES:LM-63\nTILT=NONE\n1 1 1 2 1 1 2 0 0 0 1 1.1 1\n90 180\n0\n5 5\n",
 ];
 
 const WORDS: &[&str] = &[
@@ -155,8 +160,37 @@ const WORDS: &[&str] = &[
     "#",
     "TILT=NONE",
     "TILT=INCLUDE",
+    "IESNA91",
+    "IES:LM-63-2019",
+    "[TEST]",
+    "END",
+    "1.1",
+    "0,5",
+    ",5",
+    ",",
+    "\u{feff}",
     "\n",
+    "\r",
+    "\0",
+    "\x1a",
 ];
+
+/// Bytes of a text in some encoding and with some line ends; most texts stay as they are.
+fn encode(rng: &mut Rng, bytes: Vec<u8>) -> Vec<u8> {
+    let how = rng.below(72);
+    let Some(line_end) = ["\n", "\r", "\r\n"].get(how / 6) else { return bytes };
+    let text = String::from_utf8_lossy(&bytes).replace('\n', line_end);
+    let wide = |text: &str, bytes: fn(u16) -> [u8; 2]| text.encode_utf16().flat_map(bytes).collect();
+    let marked = format!("\u{feff}{text}");
+    match how % 6 {
+        0 => wide(&marked, u16::to_le_bytes),
+        1 => wide(&marked, u16::to_be_bytes),
+        2 => wide(&text, u16::to_le_bytes),
+        3 => wide(&text, u16::to_be_bytes),
+        4 => marked.into_bytes(),
+        _ => text.into_bytes(),
+    }
+}
 
 /// A mutated scene `t.mgf` with the files that it names.
 pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
@@ -173,11 +207,21 @@ pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
         // Nothing before the photometry can fail.
         scene = b"ies lamp.ies\n".to_vec();
     }
+    let mut bend = b"1 2 0 90 1 .5".to_vec();
+    if rng.below(8) == 0 {
+        change(rng, &mut bend);
+    }
+    let mut encoded = [scene, lamp, bend].map(|text| encode(rng, text));
+    if rng.below(8) == 0 {
+        let which = rng.below(3);
+        change(rng, &mut encoded[which]);
+    }
+    let [scene, lamp, bend] = encoded;
     BTreeMap::from([
         ("t.mgf".into(), scene),
         ("part.mgf".into(), SCENES[0].as_bytes().to_vec()),
         ("lamp.ies".into(), lamp),
-        ("bend.tlt".into(), b"1 2 0 90 1 .5".to_vec()),
+        ("bend.tlt".into(), bend),
     ])
 }
 

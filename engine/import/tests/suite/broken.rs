@@ -160,7 +160,7 @@ fn each_broken_scene_gives_its_error() {
             ("t.mgf", *text),
             ("closes.mgf", "xf\n"),
             ("part.mgf", "v a =\np x 0 0\n"),
-            ("lamp.ies", "TILT=NONE\n1 1 1 1 1 1 1 0 0 0 1 1 1 0 0 5\n"),
+            ("lamp.ies", "TILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 0 90 0 5 5\n"),
             ("short.ies", "TILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 0 90 0 5\n"),
         ];
         match try_files(&files) {

@@ -5,4 +5,5 @@ mod common;
 mod contexts;
 mod geometry;
 mod never_panics;
+mod photometry;
 mod real_scenes;

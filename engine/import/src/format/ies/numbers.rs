@@ -1,16 +1,45 @@
 //! The free-form numbers of LM-63.
+//!
+//! Numbers are separated by blanks, line ends, or one comma with or without blanks after it. Two commas in a row and a comma
+//! right before a number that does not follow a number are refused: `,5` may be a decimal fraction.
 
 use crate::{Fault, ImportError, Position};
 
-/// Numbers in free form, separated by blanks or commas.
-pub(super) struct Numbers<'f, 't> {
-    pub file: &'f str,
-    pub rest: &'t [u8],
-    pub line: u32,
-    pub column: u32,
+/// Meaning of a comma.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Comma {
+    /// A comma separates numbers: the rule of LM-63.
+    Separator,
+    /// A comma between two digits is a decimal point, if it is the only one between blanks. No file is read so: this reading
+    /// proves that a file has decimal commas.
+    Decimal,
 }
 
-impl<'t> Numbers<'_, 't> {
+/// Numbers of a text, one after the other.
+#[derive(Clone)]
+pub(super) struct Numbers<'t> {
+    file: &'t str,
+    text: &'t [u8],
+    comma: Comma,
+    /// Offset of the next byte.
+    at: usize,
+    /// Offset behind the last number; 0 before the first.
+    end: usize,
+    line: u32,
+    column: u32,
+}
+
+impl<'t> Numbers<'t> {
+    /// - `line`: line of the file in which `text` starts.
+    pub fn new(file: &'t str, text: &'t [u8], line: u32, comma: Comma) -> Self {
+        Self { file, text, comma, at: 0, end: 0, line, column: 1 }
+    }
+
+    /// The text that is not read yet.
+    pub fn rest(&self) -> &'t [u8] {
+        &self.text[self.at..]
+    }
+
     /// The place of the next field.
     pub fn here(&self) -> Position {
         Position { file: self.file.to_owned(), line: self.line, column: self.column }
@@ -18,41 +47,73 @@ impl<'t> Numbers<'_, 't> {
 
     /// Moves to the next field, if there is one, without taking it.
     pub fn token(&mut self) -> Option<&'t [u8]> {
-        let separator = |byte: &u8| byte.is_ascii_whitespace() || matches!(byte, b',' | 0x0b | 0 | 0x1a);
-        let skip = self.rest.iter().position(|byte| !separator(byte)).unwrap_or(self.rest.len());
-        for byte in &self.rest[..skip] {
-            self.advance(*byte);
+        let rest = self.rest();
+        let skip = rest.iter().position(|byte| !separates(*byte)).unwrap_or(rest.len());
+        for byte in &rest[..skip] {
+            if *byte == b'\n' {
+                (self.line, self.column) = (self.line.saturating_add(1), 1);
+            } else {
+                self.column = self.column.saturating_add(1);
+            }
         }
-        self.rest = &self.rest[skip..];
-        let end = self.rest.iter().position(separator).unwrap_or(self.rest.len());
-        (end > 0).then(|| &self.rest[..end])
+        self.at += skip;
+        let rest = self.rest();
+        let inside_list = self.at > 0 && self.text[self.at - 1] == b',';
+        let end = match self.comma {
+            Comma::Decimal if !inside_list => decimal_end(rest).unwrap_or_else(|| field_end(rest)),
+            Comma::Decimal | Comma::Separator => field_end(rest),
+        };
+        (end > 0).then(|| &rest[..end])
     }
 
-    fn advance(&mut self, byte: u8) {
-        if byte == b'\n' {
-            (self.line, self.column) = (self.line.saturating_add(1), 1);
-        } else {
-            self.column = self.column.saturating_add(1);
-        }
+    /// Takes `field`, the next one.
+    pub fn take(&mut self, field: &[u8]) {
+        self.at += field.len();
+        self.end = self.at;
+        self.column = self.column.saturating_add(field.len() as u32);
+    }
+
+    /// A fault of the file at the next field.
+    pub fn bad(&self, reason: String, advice: &'static str) -> ImportError {
+        ImportError::new(self.here(), Fault::BadFile { path: self.file.to_owned(), reason, advice })
     }
 
     pub fn number(&mut self, what: &'static str) -> Result<f64, ImportError> {
         let Some(field) = self.token() else {
-            let reason = format!("it ends where the {what} should be");
-            let fault = Fault::BadFile { path: self.file.to_owned(), reason, advice: "it may be cut short" };
-            return Err(ImportError::new(self.here(), fault));
+            return Err(self.bad(format!("it ends where the {what} should be"), "it may be cut short"));
         };
-        let text = std::str::from_utf8(field).ok().filter(|t| t.bytes().all(|b| b"0123456789+-.eE".contains(&b)));
-        let Some(value) = text.and_then(|text| text.parse::<f64>().ok()) else {
-            let found = String::from_utf8_lossy(field).into_owned();
-            return Err(ImportError::new(self.here(), Fault::NotANumber { found, expected: what }));
+        self.check_commas(field)?;
+        let mut text = String::from_utf8_lossy(field).into_owned();
+        if self.comma == Comma::Decimal {
+            text = text.replace(',', ".");
+        }
+        let numeric = text.bytes().all(|b| b"0123456789+-.eE".contains(&b));
+        let Some(value) = text.parse::<f64>().ok().filter(|_| numeric) else {
+            return Err(ImportError::new(self.here(), Fault::NotANumber { found: text, expected: what }));
         };
         if !value.is_finite() {
             return Err(ImportError::new(self.here(), Fault::NotFinite { what }));
         }
-        self.rest = &self.rest[field.len()..];
-        self.column = self.column.saturating_add(field.len() as u32);
+        self.take(field);
         Ok(value)
+    }
+
+    /// Refuses commas before `field`, the next one, that do not follow a number.
+    fn check_commas(&self, field: &[u8]) -> Result<(), ImportError> {
+        let gap = &self.text[self.end..self.at];
+        let commas = gap.iter().filter(|&&byte| byte == b',').count();
+        let leading = gap.ends_with(b",") && (gap.len() > 1 || self.end == 0);
+        if leading && field.first().is_some_and(u8::is_ascii_digit) {
+            let mut at = self.here();
+            at.column = at.column.saturating_sub(1);
+            let found = format!(",{}", String::from_utf8_lossy(field));
+            return Err(ImportError::new(at, Fault::DecimalComma { found }));
+        }
+        if commas > 1 || (commas > 0 && self.end == 0) {
+            let advice = "write one comma between two numbers, or blanks alone";
+            return Err(self.bad("a number is missing between commas".into(), advice));
+        }
+        Ok(())
     }
 
     pub fn number_in(
@@ -95,4 +156,47 @@ impl<'t> Numbers<'_, 't> {
         }
         Ok(angles)
     }
+
+    /// Fails if anything but blanks and a line `END` follows.
+    /// - `last`: the last number that belongs to the file.
+    pub fn finish(&mut self, last: &'static str) -> Result<(), ImportError> {
+        let mut ahead = self.clone();
+        let Some(first) = ahead.token() else { return Ok(()) };
+        if first.eq_ignore_ascii_case(b"END") || first.eq_ignore_ascii_case(b"[END]") {
+            ahead.take(first);
+            if ahead.token().is_none() {
+                return Ok(());
+            }
+        }
+        self.token();
+        let mut count = 0;
+        let mut counting = self.clone();
+        while counting.number(last).is_ok() {
+            count += 1;
+        }
+        let found = String::from_utf8_lossy(first).into_owned();
+        Err(ImportError::new(self.here(), Fault::LeftOver { found, numbers: count, last }))
+    }
+}
+
+fn separates(byte: u8) -> bool {
+    byte.is_ascii_whitespace() || matches!(byte, b',' | 0x0b)
+}
+
+fn field_end(text: &[u8]) -> usize {
+    text.iter().position(|byte| separates(*byte)).unwrap_or(text.len())
+}
+
+/// End of a number with a decimal comma at the start of `text`, if no other comma joins it to more numbers.
+pub(super) fn decimal_end(text: &[u8]) -> Option<usize> {
+    let whole = field_end(text);
+    let digits = text[..whole].strip_prefix(b"-").or(text[..whole].strip_prefix(b"+")).unwrap_or(&text[..whole]);
+    let is_whole = !digits.is_empty() && digits.iter().all(u8::is_ascii_digit);
+    let digit_after = text.get(whole + 1).is_some_and(u8::is_ascii_digit);
+    if !is_whole || text.get(whole) != Some(&b',') || !digit_after {
+        return None;
+    }
+    let end = whole + 1 + field_end(&text[whole + 1..]);
+    let joined = text.get(end) == Some(&b',') && text.get(end + 1).is_some_and(|&byte| !separates(byte));
+    (!joined).then_some(end)
 }

@@ -1,10 +1,22 @@
+mod commas;
+mod editions;
+mod flux;
+
 use super::*;
+use femc_scene::{Opening, PhotometryType};
 
 fn read(text: &str) -> Result<Luminaire, ImportError> {
     parse("lamp.ies", text.as_bytes(), &mut |name| match name {
-        "bend.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5\n".to_vec()))),
+        "bend.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5\nEND\n".to_vec()))),
+        "commas.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 0,9 0,5\n".to_vec()))),
+        "long.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5 .1\n".to_vec()))),
         _ => Err(Fault::Unreadable { path: name.to_owned(), reason: "not found".into() }),
     })
+}
+
+/// Warnings of a file.
+fn warnings(lamp: &Luminaire) -> Vec<&str> {
+    lamp.remarks.warnings.iter().map(|(_, what)| &**what).collect()
 }
 
 /// Type, sizes and angle lists into a file; intensities count up from 1.
@@ -24,7 +36,7 @@ fn all_header_variants_read_the_same() {
         let header = if body.contains("TILT") { body.to_owned() } else { format!("{body}TILT=NONE\r\n") };
         let lamp = read(&file(&header, 1, "0 0 0", "0 90 180", "0")).unwrap();
         assert_eq!(lamp.photometry.candela, [2.0, 4.0, 6.0], "{body:?}");
-        assert!(lamp.oddities.is_empty() && lamp.tilt.is_none());
+        assert!(lamp.remarks == Remarks::default() && lamp.tilt.is_none());
     }
 }
 
@@ -53,7 +65,7 @@ fn factors_multiply_and_feet_become_metres() {
 fn openings_follow_the_signs_of_their_sizes() {
     let of = |size: &str| {
         let lamp = read(&file(C, 1, size, "0 90", "0")).unwrap();
-        (lamp.photometry.opening, lamp.oddities.len())
+        (lamp.photometry.opening, lamp.remarks.warnings.len())
     };
     assert_eq!(of("0 0 0"), (Opening::Point, 0));
     assert_eq!(of(".5 2 0"), (Opening::Box { width: 0.5, length: 2.0, height: 0.0 }, 0));
@@ -69,10 +81,10 @@ fn openings_follow_the_signs_of_their_sizes() {
 
 #[test]
 fn numbers_may_stand_on_any_line() {
-    let text = "TILT=NONE\n1\n1000,1 2\n\n1 1 2 0 0 0 1 1\n1 0\n90 0 7\n\n8\n\x1a";
+    let text = "TILT=NONE\n1\n1000,1 2\n\n1 1 2 0 0 0 1 1\n1 0\n90 0 7\n\n8\n";
     let lamp = read(text).unwrap();
     assert_eq!(lamp.photometry.candela, [7.0, 8.0]);
-    assert!(lamp.oddities.is_empty());
+    assert!(lamp.remarks == Remarks::default());
 }
 
 #[test]
@@ -91,7 +103,7 @@ fn an_open_circle_is_closed_by_its_first_plane() {
     let lamp = read(&file(C, 1, "0 0 0", "0 90", "0 90 180 270")).unwrap();
     assert_eq!(lamp.photometry.horizontal, [0.0, 90.0, 180.0, 270.0, 360.0]);
     assert_eq!(lamp.photometry.candela[8..], lamp.photometry.candela[..2]);
-    assert_eq!(lamp.oddities.len(), 1);
+    assert_eq!(lamp.remarks.warnings.len(), 1);
 }
 
 #[test]
@@ -99,12 +111,48 @@ fn odd_files_are_taken_with_a_remark() {
     for text in [
         file(C, 1, "0 0 0", "0 60", "0"),
         file(C, 1, "0 0 0", "0 90", "0 45"),
-        file(C, 1, "0 0 0", "0 90", "0") + "17\n",
-        "TILT=NONE\n1 1 1 2 1 1 2 0 0 0 1 0 1 0 90 0 5 5\n".into(),
-        "TILT=NONE\n1 1 1 2 1 1 2 0 0 0 1 1 1 0 90 0 5 -5\n".into(),
+        file(C, 1, "0 0 0", "0 90", "0 100"),
+        file(C, 1, "0 0 0", "0 90", "20 140 260"),
+        "TILT=NONE\n1 -1 1 2 1 1 2 0 0 0 1 0 1 0 90 0 5 5\n".into(),
+        "TILT=NONE\n1 -1 1 2 1 1 2 0 0 0 1 1 1 0 90 0 5 -5\n".into(),
+        "TILT=NONE\n1 -1 1 2 1 1 2 0 0 0 1 1 1 0 90 0 0 0\n".into(),
     ] {
-        assert_eq!(read(&text).unwrap().oddities.len(), 1, "{text}");
+        let lamp = read(&text).unwrap();
+        assert_eq!(warnings(&lamp).len(), 1, "{text}: {:?}", warnings(&lamp));
     }
+}
+
+/// Planes between which nothing is known would make another flux than the table's.
+#[test]
+fn planes_that_start_anywhere_are_refused() {
+    for horizontal in ["90 180", "180 270 360", "45 90 135", "10 80", "180 360"] {
+        let error = read(&file(C, 1, "0 0 0", "0 90", horizontal)).unwrap_err();
+        assert!(error.to_string().starts_with("lamp.ies:7:1: first horizontal angle is "), "{error}");
+    }
+    for horizontal in ["37", "90 180 270", "0 90", "0 90 180", "0 180 360"] {
+        assert_eq!(read(&file(C, 1, "0 0 0", "0 90", horizontal)).unwrap().remarks.warnings.len(), 0, "{horizontal}");
+    }
+}
+
+#[test]
+fn nothing_may_follow_the_last_intensity_but_end() {
+    let good = file(C, 1, "0 0 0", "0 90", "0");
+    for tail in ["END", "END\n", "\n\n end \n", "[END]\n", "  \n\n", ","] {
+        assert_eq!(read(&(good.clone() + tail)).map(|lamp| lamp.remarks), Ok(Remarks::default()), "{tail:?}");
+    }
+    for (tail, says) in [
+        ("17", "lamp.ies:10:1: 1 number follows the last intensity that the file announces"),
+        ("\n17 18\n19 END", "lamp.ies:11:1: 3 numbers follow"),
+        ("IESNA91\n", "lamp.ies:10:1: `IESNA91` follows"),
+        ("END 5", "`END` follows"),
+        ("ENDS", "`ENDS` follows"),
+        ("[MORE] text", "`[MORE]` follows"),
+    ] {
+        let error = read(&(good.clone() + tail)).unwrap_err().to_string();
+        assert!(error.contains(says) && error.contains("remove what does not belong"), "{tail:?}: {error}");
+    }
+    let error = read(&good.replace("NONE", "long.tlt")).unwrap_err().to_string();
+    assert!(error.starts_with("long.tlt:4:9: 1 number follows the last tilt factor"), "{error}");
 }
 
 #[test]
@@ -123,6 +171,9 @@ fn faults_name_line_and_column() {
         ("7 8", "7", 7, 1),
         ("7 8", "7 nan", 6, 3),
         ("1 1 100", "0 1 100", 3, 1),
+        ("1 1000 1 2", "1 1000 0 2", 2, 8),
+        ("1 1000 1 2", "1 1000 1 1", 2, 10),
+        ("TILT=NONE", "TILT=", 1, 1),
     ] {
         let error = read(&good.replacen(from, to, 1)).unwrap_err();
         assert_eq!((error.at.line, error.at.column), (line, column), "{to}: {error}");

@@ -5,7 +5,7 @@ use super::{
     lexer::{Lexer, MAX_LINE},
     reader::Reader,
 };
-use crate::{Fault, ImportError, Oddity, Position, files};
+use crate::{Fault, ImportError, Oddity, Position, files, text};
 use std::sync::Arc;
 
 /// Most nested files.
@@ -90,7 +90,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The text of a file; read once, its size checked first.
+    /// Decoded text of a file; read once, its size checked first.
     pub(super) fn text(&mut self, path: &str) -> std::result::Result<Arc<Vec<u8>>, Fault> {
         if let Some(text) = self.texts.get(path) {
             return Ok(text.clone());
@@ -100,8 +100,9 @@ impl Reader<'_> {
         if size > MAX_TEXT {
             return Err(Fault::TextTooLarge { path: path.into(), size, limit: MAX_TEXT });
         }
-        let text = Arc::new(self.files.read(path).map_err(unreadable)?);
+        let bytes = self.files.read(path).map_err(unreadable)?;
         self.note_read(path);
+        let text = Arc::new(text::decode(path, bytes)?);
         self.texts.insert(path.into(), text.clone());
         Ok(text)
     }

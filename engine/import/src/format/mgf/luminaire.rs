@@ -25,6 +25,11 @@ impl Reader<'_> {
             }
             _ => (1.0, 1),
         };
+        if first == 1
+            && let Some((at, what)) = self.normalized.remove(&photometry)
+        {
+            self.notes.push(at, Oddity::Photometry { what });
+        }
         if args.len() <= first {
             return self.add_luminaire(args, photometry, multiplier, tilt.as_ref());
         }
@@ -58,7 +63,7 @@ impl Reader<'_> {
         let poses = self.world_transforms(1).unwrap_or_default();
         let [pose] = poses[..] else {
             let what = "tilt factors do not follow arrays and paths: the factor of the upright position is used";
-            self.warn(args, Oddity::Photometry { what });
+            self.warn(args, Oddity::Photometry { what: what.into() });
             return tilt.factor(0.0);
         };
         let axis = pose.transform_vector3(DVec3::Z).normalize_or_zero();
@@ -78,10 +83,14 @@ impl Reader<'_> {
             let text = self.text(&path)?;
             Ok((path, text))
         })?;
-        for (at, what) in read.oddities {
+        for (at, what) in read.remarks.warnings {
             self.warnings.push(at, Oddity::Photometry { what });
         }
+        for (at, what) in read.remarks.notes {
+            self.notes.push(at, Oddity::Photometry { what });
+        }
         let id = PhotometryId(self.scene.photometry.len() as u32);
+        self.normalized.extend(read.normalized.map(|hint| (id, hint)));
         let mut photometry = read.photometry;
         photometry.location = args.location();
         self.scene.photometry.push(photometry);

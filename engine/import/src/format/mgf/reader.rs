@@ -12,7 +12,12 @@ use super::{
     table::Table,
     vertex::VertexState,
 };
-use crate::{Files, ImportError, Kind, Loaded, Oddity, Position, format::ies::Tilt, image::Role, warning::Warnings};
+use crate::{
+    Files, ImportError, Kind, Loaded, Oddity, Position,
+    format::ies::{Remark, Tilt},
+    image::Role,
+    warning::Warnings,
+};
 use femc_scene::{
     Camera, Group, GroupId, ImageId, Location, MaterialId, MediumId, ObjectId, PathId, PhotometryId, Scene,
 };
@@ -29,6 +34,7 @@ pub(super) struct Reader<'f> {
     pub files: &'f dyn Files,
     pub scene: Scene,
     pub warnings: Warnings,
+    pub notes: Warnings,
     /// Every file read.
     pub read: Vec<String>,
     pub texts: HashMap<String, Arc<Vec<u8>>>,
@@ -56,6 +62,8 @@ pub(super) struct Reader<'f> {
     pub absorption_colored: bool,
     pub medium_entries: HashMap<String, Vec<MediumId>>,
     pub photometries: HashMap<String, (PhotometryId, Option<Tilt>)>,
+    /// Hints about photometry that no luminaire has scaled yet.
+    pub normalized: HashMap<PhotometryId, Remark>,
     /// Textured materials that were found on surfaces without texture coordinates.
     pub without_uv: HashSet<MaterialId>,
     pub images: HashMap<(String, Role), ImageId>,
@@ -95,6 +103,7 @@ impl<'f> Reader<'f> {
             files,
             scene: Scene { groups: vec![Group::default()], ..Scene::default() },
             warnings: Warnings::default(),
+            notes: Warnings::default(),
             read: Vec::new(),
             texts: HashMap::new(),
             file_indices: HashMap::new(),
@@ -112,6 +121,7 @@ impl<'f> Reader<'f> {
             media: Table::new(Kind::Medium, MediumState::default()),
             medium_entries: HashMap::new(),
             photometries: HashMap::new(),
+            normalized: HashMap::new(),
             without_uv: HashSet::new(),
             images: HashMap::new(),
             paths: BTreeMap::new(),
@@ -193,7 +203,8 @@ impl<'f> Reader<'f> {
         self.seal_medium()?;
         self.finish_cameras()?;
         self.finish_paths()?;
-        let notes = self.add_default_camera().into_iter().collect();
+        let camera = self.add_default_camera();
+        let notes = camera.into_iter().chain(self.notes.0).collect();
         Ok(Loaded { scene: self.scene, warnings: self.warnings.0, notes, files: self.read })
     }
 

@@ -1,0 +1,79 @@
+//! The two lists of angles.
+
+use super::{Remarks, numbers::Numbers};
+use crate::{Fault, ImportError};
+use femc_scene::PhotometryType;
+
+pub(super) fn vertical(
+    numbers: &mut Numbers<'_>,
+    kind: PhotometryType,
+    count: usize,
+    remarks: &mut Remarks,
+) -> Result<Vec<f64>, ImportError> {
+    let what = "vertical angle";
+    let (angles, whole) = match kind {
+        PhotometryType::C => {
+            let angles = numbers.ascending(count, what, 0.0, 180.0, "in [0, 180] and above the one before it")?;
+            let whole = matches!(angles[..], [0.0 | 90.0, .., 90.0 | 180.0]);
+            (angles, whole)
+        }
+        PhotometryType::A | PhotometryType::B => {
+            let angles = numbers.ascending(count, what, -90.0, 90.0, "in [-90, 90] and above the one before it")?;
+            let whole = matches!(angles[..], [-90.0 | 0.0, .., 90.0]);
+            (angles, whole)
+        }
+    };
+    if !whole {
+        let what = "vertical angles do not cover a quadrant or a half: used as they stand, with no light beyond them";
+        remarks.warn(numbers.here(), what);
+    }
+    Ok(angles)
+}
+
+/// The angles, and whether 360 was added to close the circle.
+pub(super) fn horizontal(
+    numbers: &mut Numbers<'_>,
+    kind: PhotometryType,
+    count: usize,
+    remarks: &mut Remarks,
+) -> Result<(Vec<f64>, bool), ImportError> {
+    let what = "horizontal angle";
+    if let PhotometryType::A | PhotometryType::B = kind {
+        let angles = numbers.ascending(count, what, -90.0, 90.0, "in [-90, 90] and above the one before it")?;
+        if !matches!(angles[..], [0.0] | [-90.0 | 0.0, .., 90.0]) {
+            let what =
+                "horizontal angles do not cover a quadrant or a half: used as they stand, with no light beyond them";
+            remarks.warn(numbers.here(), what);
+        }
+        return Ok((angles, false));
+    }
+    numbers.token();
+    let start = numbers.here();
+    let mut angles = numbers.ascending(count, what, 0.0, 360.0, "in [0, 360] and above the one before it")?;
+    let mut wrap = false;
+    let closes = "horizontal angles stop short of 360: the first plane closes the circle";
+    match angles[..] {
+        [_] | [0.0, .., 90.0 | 180.0 | 360.0] | [90.0, .., 270.0] => {}
+        [0.0, .., last] if last > 180.0 => {
+            remarks.warn(numbers.here(), closes);
+            angles.push(360.0);
+            wrap = true;
+        }
+        [0.0, .., last] => {
+            let end = if last < 90.0 { 90 } else { 180 };
+            remarks
+                .warn(numbers.here(), format!("horizontal angles end at {last}: the last plane is used up to {end}"));
+        }
+        // The table itself closes the circle.
+        [first, .., last] if last - first > 180.0 => remarks.warn(numbers.here(), closes),
+        [first, ..] => {
+            let allowed = "0, as no other angle says how the planes repeat (90 to 270 is possible, too)";
+            return Err(ImportError::new(
+                start,
+                Fault::OutOfRange { what: "first horizontal angle", value: first, allowed },
+            ));
+        }
+        [] => {}
+    }
+    Ok((angles, wrap))
+}

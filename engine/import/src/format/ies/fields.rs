@@ -1,0 +1,136 @@
+//! The numbers above the angles: 10 and 3 of them.
+
+use super::{
+    Remarks,
+    edition::{SecondFactor, is_generation_type},
+    header::{Header, Named},
+    numbers::Numbers,
+    opening::opening,
+};
+use crate::{ImportError, Position};
+use femc_scene::{Opening, PhotometryType};
+
+/// Most angles of one list.
+pub(super) const MAX_ANGLES: f64 = 100_000.0;
+const FOOT: f64 = 0.3048;
+
+/// The numbers above the angles as femc uses them.
+pub(super) struct Fields {
+    pub lamps: f64,
+    /// Lumens of a lamp; negative in absolute photometry.
+    pub lumens: f64,
+    pub lumens_at: Position,
+    pub multiplier: f64,
+    /// Product of the ballast factors.
+    pub ballast: f64,
+    pub vertical: usize,
+    pub horizontal: usize,
+    pub kind: PhotometryType,
+    pub opening: Opening,
+}
+
+impl Fields {
+    pub fn read(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut Remarks) -> Result<Self, ImportError> {
+        numbers.token();
+        let lamps_at = numbers.here();
+        let lamps = numbers.number_in("number of lamps", ">= 0", |x| x >= 0.0)?;
+        if lamps < 1.0 || lamps != lamps.trunc() {
+            remarks.warn(lamps_at, format!("number of lamps is {lamps}, not a whole number from 1 on; it is not used"));
+        }
+        numbers.token();
+        let lumens_at = numbers.here();
+        let lumens = numbers.number("lumens per lamp")?;
+        if lumens <= 0.0 && lumens != -1.0 {
+            let what =
+                format!("lumens per lamp is {lumens}, neither a flux nor -1 (absolute photometry); it is not used");
+            remarks.warn(lumens_at.clone(), what);
+        }
+        let multiplier = numbers.number_in("candela multiplier", "> 0", |x| x > 0.0)?;
+        // A table of one vertical angle has no solid angle, so it would be a lamp without light.
+        let [two, one] = ["a whole number in [2, 100000]", "a whole number in [1, 100000]"];
+        let vertical = numbers.whole("number of vertical angles", 2.0, MAX_ANGLES, two)?;
+        let horizontal = numbers.whole("number of horizontal angles", 1.0, MAX_ANGLES, one)?;
+        let kind = match numbers.whole("photometric type", 1.0, 3.0, "1 (C), 2 (B) or 3 (A)")? {
+            1 => PhotometryType::C,
+            2 => PhotometryType::B,
+            _ => PhotometryType::A,
+        };
+        let unit = match numbers.whole("units", 1.0, 2.0, "1 (feet) or 2 (meters)")? {
+            1 => FOOT,
+            _ => 1.0,
+        };
+        numbers.token();
+        let size_at = numbers.here();
+        let mut size = [0.0; 3];
+        for (value, what) in size.iter_mut().zip(["width", "length", "height"]) {
+            *value = numbers.number(what)? * unit;
+        }
+        let (opening, odd) = opening(header.edition, size);
+        if let Some(odd) = odd {
+            remarks.warn(size_at, odd);
+        }
+        let ballast = numbers.number_in("ballast factor", "> 0", |x| x > 0.0)?;
+        let ballast = ballast * second_factor(header, numbers, remarks)?;
+        numbers.number("input watts")?;
+        Ok(Self { lamps, lumens, lumens_at, multiplier, ballast, vertical, horizontal, kind, opening })
+    }
+
+    /// The factor on the intensities of the file.
+    pub fn factor(&self) -> f64 {
+        self.multiplier * self.ballast
+    }
+}
+
+/// The factor that the field after the ballast factor stands for: by its edition a factor, or 1.
+fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut Remarks) -> Result<f64, ImportError> {
+    numbers.token();
+    let at = numbers.here();
+    let year = header.edition.year();
+    if let Named::Unclear { line } = &header.named {
+        let mut ahead = numbers.clone();
+        let value = ahead.number("field after the ballast factor")?;
+        if value != 1.0 {
+            let reason = format!(
+                "the field after the ballast factor is {value}, a factor in files of 1986 and 1991 alone, and `{line}` names no \
+                 edition that exists"
+            );
+            return Err(numbers.bad(reason, "name the edition in the first line, as in `IESNA:LM-63-2002`"));
+        }
+    }
+    match header.edition.second_factor() {
+        SecondFactor::BallastLamp => {
+            let factor = numbers.number_in("ballast-lamp factor", ">= 0", |x| x >= 0.0)?;
+            if factor == 0.0 {
+                remarks.warn(at, "ballast-lamp factor is 0: taken as 1");
+                return Ok(1.0);
+            }
+            if factor != 1.0 && header.named == (Named::Nowhere { keywords: true }) {
+                let what = format!(
+                    "ballast-lamp factor is {factor}: it counts, as no line names an edition, which makes a file of 1986, but \
+                     keywords are newer; name the edition in the first line"
+                );
+                remarks.warn(at, what);
+            }
+            Ok(factor)
+        }
+        SecondFactor::Reserved => {
+            let value = numbers.number("field after the ballast factor")?;
+            if value != 1.0 {
+                let what = format!(
+                    "the field after the ballast factor is {value}: it is reserved in the edition of {year} and not used (in files \
+                     of 1986 and 1991 it is a factor)"
+                );
+                remarks.warn(at, what);
+            }
+            Ok(1.0)
+        }
+        SecondFactor::GenerationType => {
+            let code = numbers.number("file generation type")?;
+            if !is_generation_type(code) {
+                let what = format!("file generation type {code} is no code of the edition of {year}; it is not used");
+                remarks.note(at, what);
+            }
+            Ok(1.0)
+        }
+    }
+}

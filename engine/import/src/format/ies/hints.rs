@@ -1,0 +1,41 @@
+//! Doubts about the luminous flux of a file that was read.
+
+use super::{Remark, fields::Fields};
+
+/// A luminaire may give this much more than its lamps before it is said: ratings are rounded, and lamps are warmer or colder.
+const TOLERANCE: f64 = 1.1;
+/// Part of 1000 lm within which a flux is 1000 lm.
+const EQUAL: f64 = 1e-3;
+
+/// A warning about a table without light.
+pub(super) fn no_light(fields: &Fields, lumens: f64) -> Option<Remark> {
+    (lumens == 0.0).then(|| (fields.lumens_at.clone(), "every intensity is 0: the lamp gives no light".into()))
+}
+
+/// A note about a table with more light than its lamps have.
+pub(super) fn more_than_lamps(fields: &Fields, lumens: f64) -> Option<Remark> {
+    let of_lamps = fields.lamps * fields.lumens * fields.ballast;
+    let what = format!(
+        "the intensities add up to {lumens:.0} lm, more than the {of_lamps:.0} lm of the lamps; the intensities are used: check the \
+         candela multiplier"
+    );
+    (of_lamps > 0.0 && lumens > TOLERANCE * of_lamps).then(|| (fields.lumens_at.clone(), what.into()))
+}
+
+/// A hint that a file may be normalized to 1000 lm: its table has that flux, or its lamps have it and nothing scales them.
+pub(super) fn normalized(fields: &Fields, lumens: f64) -> Option<Remark> {
+    let is_1000 = |lumens: f64| (lumens / 1000.0 - 1.0).abs() <= EQUAL;
+    let excess = more_than_lamps(fields, lumens).is_some();
+    let gives = if is_1000(lumens) {
+        "this file gives exactly 1000 lm".to_owned()
+    } else if is_1000(fields.lumens) && fields.multiplier == 1.0 && lumens > 0.0 && !excess {
+        format!("this file gives {lumens:.0} lm from lamps of exactly 1000 lm")
+    } else {
+        return None;
+    };
+    let what = format!(
+        "{gives}: intensities are often normalized to lamps of 1000 lm (cd/klm); if so, scale them by the lamp's flux / 1000 lm, \
+         as in `ies FILE -m 2.5` for 2500 lm"
+    );
+    Some((fields.lumens_at.clone(), what.into()))
+}

@@ -129,6 +129,7 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
         residual: found.residual,
         row_sum: found.row_sum,
         bounded: found.bounded,
+        untrusted: solution.verify(&prepared).err().map(|reason| reason.to_string()),
         checked: found.checked,
         corrected: found.corrected,
         bytes: found.bytes,
@@ -140,6 +141,11 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
         vertices: meshes.iter().map(|mesh| mesh.positions.len()).sum(),
         triangles: meshes.iter().map(|mesh| mesh.triangles.len()).sum(),
     };
+    if let Some(reason) = &report.untrusted {
+        say.warning(format!(
+            "the finite-element solution cannot be trusted: {reason}; `--method fem` and `--method femc` refuse it, use `--method pt`"
+        ));
+    }
     if report.bounded {
         say.warning("light grew from reflection to reflection, as links are not exact; it was bounded, and the solution is rough");
     }

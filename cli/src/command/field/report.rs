@@ -37,6 +37,8 @@ pub struct Report {
     pub row_sum: f32,
     /// Whether light grew from reflection to reflection and was bounded by the row sums.
     pub bounded: bool,
+    /// Reason why a picture of the solution would be wrong; `null`: none is known.
+    pub untrusted: Option<String>,
     /// Light that rays find on all surfaces, over what the links bring there.
     pub checked: f32,
     /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.

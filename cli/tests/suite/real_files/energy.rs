@@ -25,3 +25,24 @@ fn a_color_that_asks_for_more_light_than_there_is_is_said_once() {
     let ran = place().run("check red-gloss.mgf").exits(0);
     assert_eq!(said(&ran).matches("2.758 times the red light").count(), 1, "{}", said(&ran));
 }
+
+/// A closed box whose walls shine and return 99.9 % of the light: no number of iterations brings its light to rest.
+const WHITE_BOX: &str = "camera main =\n origin .3 .2 .1\n target 1 .4 0\n fov 60\n film 16 16\nm wall =\n sides 2\n c\n rd .999\n\
+    ed 3.14159265358979\nv a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\n\
+    prism a b c d -2\n";
+
+#[test]
+fn a_first_pass_that_cannot_be_trusted_fails_with_what_to_use_instead() {
+    let place = place();
+    place.write("white.mgf", WHITE_BOX);
+    for method in ["fem", "femc"] {
+        let ran = place.run(&format!("render white.mgf -o {method}.exr --spp 4 --method {method}")).exits(1);
+        let words = said(&ran);
+        assert!(words.contains("solution cannot be trusted") && words.contains("use `--method pt`"), "{words}");
+        assert!(!place.path(&format!("{method}.exr")).exists());
+    }
+    // Path tracing needs none, and the solution can still be looked at.
+    place.run("render white.mgf -o pt.exr --spp 4 --method pt --max-depth 20").exits(0);
+    let report = place.run("field white.mgf -o white.glb --json").exits(0).json();
+    assert!(report["untrusted"].as_str().is_some_and(|reason| reason.contains("come to rest")), "{report}");
+}

@@ -9,6 +9,7 @@ use femc_prepared::KernelMaterial;
 use femc_tests::rng::Rng;
 use femc_tests::scene;
 use std::fmt::Write as _;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// A number in [0, 1).
@@ -103,11 +104,13 @@ fn room(material: &str) -> String {
     )
 }
 
+/// A frame with the samples of `settings`.
 fn picture(prepared: &Prepared, settings: &Settings) -> Frame {
+    let Stop::Spp(spp) = settings.stop else { panic!("a fixed number of samples") };
     let plan = plan(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
     let (cancel, progress, mut film) = (AtomicBool::new(false), AtomicU64::new(0), Frame::new(plan.tiling));
     for rect in plan.tiling.rects() {
-        let done = render_tile(prepared, settings, rect, 0..16, &cancel, &progress);
+        let done = render_tile(prepared, settings, rect, 0..spp, &cancel, &progress);
         film.insert(done.unwrap_or_else(|error| panic!("{error}")).tile).unwrap_or_else(|error| panic!("{error}"));
     }
     film
@@ -151,5 +154,18 @@ fn walls_that_shine_from_both_sides_light_their_room_as_walls_that_shine_inward(
         let ([one, two], want) = ([mean(1), mean(2)], 1.0 / (1.0 - albedo));
         println!("albedo {albedo}: {one:.4} and {two:.4}, wanted {want:.4}");
         assert!((one / want - 1.0).abs() < 0.03 && (two / want - 1.0).abs() < 0.03, "{albedo}: {one} {two} {want}");
+    }
+}
+
+#[test]
+fn scenes_of_the_1990s_have_no_bad_sample() {
+    let Some(folder) = femc_require::shared("scenes-real") else { return };
+    for name in ["corridor", "cube", "examp1", "floor_gloss", "office2/office2", "soda"] {
+        let loaded = femc_import::load_path(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
+        let settings =
+            Settings { stop: Stop::Spp(64), method: Method::Pt, size: Some([32, 24]), ..Settings::default() };
+        let prepared = prepare(&Source::new(Arc::new(loaded.scene)), &settings, 1, None);
+        let film = picture(&prepared.unwrap_or_else(|error| panic!("{name}: {error}")), &settings);
+        assert_eq!(film.bad().total(), 0, "{name}");
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p femc-import --example fuzz_import -- --seconds 600 --seed 1`
 
-use femc_import::{Bundle, load};
+use femc_import::{Bundle, load, load_or_list};
 use std::{
     collections::BTreeMap,
     panic::{AssertUnwindSafe, catch_unwind},
@@ -36,6 +36,11 @@ fn main() {
         let bundle = Bundle(mutate(&mut rng));
         let began = Instant::now();
         let look = |bundle: &Bundle| {
+            // A list of errors has the error at which a plain import ends.
+            if let Err(listed) = load_or_list(bundle, "t.mgf") {
+                let first = load(bundle, "t.mgf").expect_err("an error");
+                assert!(listed.errors.contains(&first) || !listed.complete);
+            }
             let scene = load(bundle, "t.mgf")?.scene;
             let _faults = femc_scene::check(&scene);
             let _survey = femc_scene::survey(&scene, &|_| 1.0);

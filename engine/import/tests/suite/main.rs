@@ -1,8 +1,10 @@
 //! Scenes read from text, a module a topic.
 
+mod all_errors;
 mod broken;
 mod common;
 mod contexts;
+mod file_names;
 mod geometry;
 mod never_panics;
 mod real_scenes;

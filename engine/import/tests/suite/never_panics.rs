@@ -4,7 +4,7 @@
 mod corpus;
 
 use corpus::{Rng, mutate, soup};
-use femc_import::{Bundle, Loaded, load};
+use femc_import::{Bundle, Loaded, load, load_or_list};
 use femc_scene::{Scene, Shape};
 use proptest::prelude::*;
 
@@ -34,8 +34,16 @@ fn check(scene: &Scene) {
 }
 
 fn import(bundle: &Bundle) {
-    if let Ok(Loaded { scene, .. }) = load(bundle, "t.mgf") {
-        check(&scene);
+    let listed = load_or_list(bundle, "t.mgf");
+    match load(bundle, "t.mgf") {
+        Ok(Loaded { scene, .. }) => {
+            check(&scene);
+            assert!(listed.is_ok_and(|loaded| loaded.scene.digest() == scene.digest()));
+        }
+        Err(error) => {
+            let listed = listed.expect_err("the same errors");
+            assert!(listed.errors.contains(&error) || !listed.complete, "{error}\n{listed:#?}");
+        }
     }
 }
 

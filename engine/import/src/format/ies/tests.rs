@@ -3,7 +3,7 @@ use super::*;
 fn read(text: &str) -> Result<Luminaire, ImportError> {
     parse("lamp.ies", text.as_bytes(), &mut |name| match name {
         "bend.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5\n".to_vec()))),
-        _ => Err(Fault::Unreadable { path: name.to_owned(), reason: "not found".into() }),
+        _ => Err(Fault::Unreadable { path: name.to_owned(), reason: "not found".into(), near: None }),
     })
 }
 

@@ -81,7 +81,8 @@ impl Reader<'_> {
         let (mut sum, mut total) = ([0.0; 3], 0.0);
         for i in (0..args.len()).step_by(2) {
             let weight = args.number_in(i, "weight", ">= 0", |w| w >= 0.0)?;
-            let color = *self.colors.get(self.colors.index(args, i + 1)?);
+            let slot = self.colors.index(args, i + 1, &mut self.errors)?;
+            let color = *self.colors.get(slot);
             let what = Fault::Shape { what: "a black color has no chromaticity to mix", advice: "use a brighter one" };
             let unit = spectrum::normalized(color.rgb).ok_or_else(|| args.fault_at(i + 1, what))?;
             for k in 0..3 {

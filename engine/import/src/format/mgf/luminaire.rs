@@ -15,7 +15,7 @@ use femc_scene::{Luminaire, PhotometryId};
 impl Reader<'_> {
     pub(super) fn ies(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1.., "path [-m factor] [transform arguments]")?;
-        let path = self.resolve(args, 0)?;
+        let path = self.resolve(args)?;
         let (photometry, tilt) = self.photometry(args, &path)?;
         let (multiplier, first) = match args.raw(1) {
             b"-m" if args.len() > 2 => (args.number_in(2, "multiplier", ">= 0", |m| m >= 0.0)?, 3),

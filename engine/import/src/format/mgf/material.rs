@@ -38,7 +38,7 @@ fn returned(tinted: &Tinted) -> f64 {
 impl Reader<'_> {
     pub(super) fn m(&mut self, args: &Args<'_>) -> Result<()> {
         self.seal_material();
-        let opened = self.materials.select(args)?;
+        let opened = self.materials.select(args, &mut self.errors)?;
         if opened != Opened::Again {
             let state = self.materials.current_mut();
             state.material.location = args.location();

@@ -8,11 +8,15 @@ use super::{
     material::MaterialState,
     medium::MediumState,
     polygon::Triangulator,
+    recovery::Errors,
     stack::Frame,
     table::Table,
     vertex::VertexState,
 };
-use crate::{Files, ImportError, Kind, Loaded, Oddity, Position, format::ies::Tilt, image::Role, warning::Warnings};
+use crate::{
+    Files, ImportError, ImportErrors, Kind, Loaded, Oddity, Position, Warning, format::ies::Tilt, image::Role,
+    warning::Warnings,
+};
 use femc_scene::{
     Camera, Group, GroupId, ImageId, Location, MaterialId, MediumId, ObjectId, PathId, PhotometryId, Scene,
 };
@@ -29,6 +33,7 @@ pub(super) struct Reader<'f> {
     pub files: &'f dyn Files,
     pub scene: Scene,
     pub warnings: Warnings,
+    pub errors: Errors,
     /// Every file read.
     pub read: Vec<String>,
     pub texts: HashMap<String, Arc<Vec<u8>>>,
@@ -61,6 +66,8 @@ pub(super) struct Reader<'f> {
     pub images: HashMap<(String, Role), ImageId>,
     pub paths: BTreeMap<String, PathId>,
     pub path: Option<PathId>,
+    /// Paths whose definition failed.
+    pub faulty_paths: HashSet<PathId>,
 
     pub objects: Vec<(ObjectId, Position)>,
     pub object_ids: HashMap<String, ObjectId>,
@@ -77,24 +84,23 @@ pub(super) struct Reader<'f> {
     pub triangulator: Triangulator,
 }
 
-/// Imports `entry` of `files`.
-pub(crate) fn load(files: &dyn Files, entry: &str) -> Result<Loaded> {
-    let mut reader = Reader::new(files);
-    let path = crate::files::resolve("", entry)
-        .map_err(|fault| ImportError::new(Position { file: entry.to_owned(), line: 0, column: 0 }, fault))?;
-    let (folder, file) = path.split_at(path.rfind('/').map_or(0, |slash| slash + 1));
-    reader.folder = folder.to_owned();
-    reader.scene.name = file.rsplit_once('.').map_or(file, |(stem, _)| stem).to_owned();
-    reader.run(&path, Position { file: path.clone(), line: 0, column: 0 })?;
-    reader.finish()
+/// Imports `entry` of `files`; ends with the error number `limit`.
+pub(crate) fn load(files: &dyn Files, entry: &str, limit: usize) -> std::result::Result<Loaded, ImportErrors> {
+    let mut reader = Reader::new(files, limit);
+    let notes = reader.read(entry);
+    let notes = notes.or_else(|error| reader.errors.report(error).map(|()| Vec::new())).unwrap_or_default();
+    let Reader { scene, warnings, read, errors, .. } = reader;
+    errors.finish(&scene.files)?;
+    Ok(Loaded { scene, warnings: warnings.0, notes, files: read })
 }
 
 impl<'f> Reader<'f> {
-    fn new(files: &'f dyn Files) -> Self {
+    fn new(files: &'f dyn Files, limit: usize) -> Self {
         Self {
             files,
             scene: Scene { groups: vec![Group::default()], ..Scene::default() },
             warnings: Warnings::default(),
+            errors: Errors::new(limit),
             read: Vec::new(),
             texts: HashMap::new(),
             file_indices: HashMap::new(),
@@ -116,6 +122,7 @@ impl<'f> Reader<'f> {
             images: HashMap::new(),
             paths: BTreeMap::new(),
             path: None,
+            faulty_paths: HashSet::new(),
             objects: Vec::new(),
             object_ids: HashMap::new(),
             frames: vec![Frame::world()],
@@ -133,7 +140,7 @@ impl<'f> Reader<'f> {
     /// One entity.
     pub(super) fn entity(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         match entity {
-            b"v" => self.vertices.select(args).map(|_| ()),
+            b"v" => self.vertices.select(args, &mut self.errors).map(|_| ()),
             b"p" => self.p(args),
             b"n" => self.n(args),
             b"uv" => self.uv(args),
@@ -141,7 +148,7 @@ impl<'f> Reader<'f> {
             b"fh" => self.fh(args),
             b"c" => {
                 self.note_color();
-                self.colors.select(args).map(|_| ())
+                self.colors.select(args, &mut self.errors).map(|_| ())
             }
             b"cxy" => self.cxy(args),
             b"cspec" => self.cspec(args),
@@ -188,13 +195,19 @@ impl<'f> Reader<'f> {
         }
     }
 
-    fn finish(mut self) -> Result<Loaded> {
+    /// Reads the scene; returns what is worth a note.
+    fn read(&mut self, entry: &str) -> Result<Vec<Warning>> {
+        let path = crate::files::resolve("", entry)
+            .map_err(|fault| ImportError::new(Position { file: entry.to_owned(), line: 0, column: 0 }, fault))?;
+        let (folder, file) = path.split_at(path.rfind('/').map_or(0, |slash| slash + 1));
+        self.folder = folder.to_owned();
+        self.scene.name = file.rsplit_once('.').map_or(file, |(stem, _)| stem).to_owned();
+        self.run(&path, Position { file: path.clone(), line: 0, column: 0 })?;
         self.seal_material();
         self.seal_medium()?;
         self.finish_cameras()?;
         self.finish_paths()?;
-        let notes = self.add_default_camera().into_iter().collect();
-        Ok(Loaded { scene: self.scene, warnings: self.warnings.0, notes, files: self.read })
+        Ok(self.add_default_camera().into_iter().collect())
     }
 
     /// Warns at the entity.

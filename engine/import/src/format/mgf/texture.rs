@@ -2,6 +2,7 @@
 
 use super::{
     args::{Args, Result},
+    include::unreadable,
     reader::Reader,
 };
 use crate::{
@@ -15,9 +16,10 @@ const MAX_FILE: u64 = 1 << 31;
 
 impl Reader<'_> {
     pub(super) fn map(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
-        args.count(1..=1, "the path of a PNG, JPEG or EXR file")?;
+        args.count(1.., "the path of a PNG, JPEG or EXR file")?;
         let role = if entity == b"map_n" { Role::Normals } else { Role::Color };
-        let path = self.resolve(args, 0)?;
+        let path = self.resolve(args)?;
+        args.count(1..=1, "the path of a PNG, JPEG or EXR file")?;
         let image = Some(self.image(args, &path, role)?);
         let material = self.change_material();
         match entity {
@@ -34,14 +36,15 @@ impl Reader<'_> {
         if let Some(&id) = self.images.get(&key) {
             return Ok(id);
         }
-        let unreadable = |e: std::io::Error| Fault::Unreadable { path: path.into(), reason: e.to_string() };
-        let size = self.files.size(path).map_err(|e| args.fault_at(0, unreadable(e)))?;
+        let files = self.files;
+        let unreadable = |e: std::io::Error| args.fault_at(0, unreadable(files, path, &e));
+        let size = files.size(path).map_err(unreadable)?;
         if size > MAX_FILE {
             let reason = format!("it has {size} bytes, an image file may have {MAX_FILE}");
             let advice = "make it smaller";
             return Err(args.fault_at(0, Fault::BadFile { path: path.into(), reason, advice }));
         }
-        let bytes = self.files.read(path).map_err(|e| args.fault_at(0, unreadable(e)))?;
+        let bytes = files.read(path).map_err(unreadable)?;
         self.note_read(path);
         let used: u64 = self.scene.images.iter().map(|image| image::memory(image.width, image.height)).sum();
         let decoded = image::decode(path, &bytes, role, used).map_err(|fault| args.fault_at(0, fault))?;

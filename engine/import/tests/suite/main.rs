@@ -6,5 +6,6 @@ mod common;
 mod contexts;
 mod file_names;
 mod geometry;
+mod mixtures;
 mod never_panics;
 mod real_scenes;

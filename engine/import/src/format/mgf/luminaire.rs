@@ -41,7 +41,7 @@ impl Reader<'_> {
         tilt: Option<&Tilt>,
     ) -> Result<()> {
         let fault = Fault::Shape { what: "the current color is black", advice: "choose a color before `ies`" };
-        let color = spectrum::normalized(self.colors.current().rgb).ok_or_else(|| args.fault(fault))?;
+        let color = spectrum::normalized(self.used_color().rgb).ok_or_else(|| args.fault(fault))?;
         let multiplier = multiplier * tilt.map_or(1.0, |tilt| self.tilt_factor(args, tilt));
         if !multiplier.is_finite() {
             return Err(args.fault(Fault::NotFinite { what: "multiplier" }));

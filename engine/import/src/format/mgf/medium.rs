@@ -77,7 +77,7 @@ impl Reader<'_> {
             }
             b"glow" => {
                 medium.glow = coefficient("emission (lm/m3)")?;
-                medium.glow_color = color.rgb;
+                medium.glow_color = if self.medium_colored { self.used_color().rgb } else { color.rgb };
             }
             b"phase" => medium.phase = phase(args)?,
             _ => medium.density = density(args)?,

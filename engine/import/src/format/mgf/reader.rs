@@ -49,6 +49,8 @@ pub(super) struct Reader<'f> {
     pub outside: HashSet<String>,
 
     pub colors: Table<Color>,
+    /// Places of clipped colors that were used.
+    pub clipped_colors: HashSet<Location>,
     pub materials: Table<MaterialState>,
     /// Entries of the scene by name, newest last.
     pub material_entries: HashMap<String, Vec<MaterialId>>,
@@ -110,6 +112,7 @@ impl<'f> Reader<'f> {
             unknown: HashSet::new(),
             folder: String::new(),
             outside: HashSet::new(),
+            clipped_colors: HashSet::new(),
             colors: Table::new(Kind::Color, Color::default()),
             materials: Table::new(Kind::Material, MaterialState::default()),
             material_entries: HashMap::new(),

@@ -113,6 +113,11 @@ impl<T: Clone> Table<T> {
         self.faulty.insert(self.current);
     }
 
+    /// Whether the current context is faulty.
+    pub fn is_faulty(&self) -> bool {
+        self.faulty.contains(&self.current)
+    }
+
     /// Whether a named context is current.
     pub fn is_named(&self) -> bool {
         self.current != 0

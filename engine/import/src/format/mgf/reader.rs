@@ -66,6 +66,8 @@ pub(super) struct Reader<'f> {
     /// Textured materials that were found on surfaces without texture coordinates.
     pub without_uv: HashSet<MaterialId>,
     pub images: HashMap<(String, Role), ImageId>,
+    /// Images that are factors on reflectances.
+    pub reflectance_maps: HashSet<ImageId>,
     pub paths: BTreeMap<String, PathId>,
     pub path: Option<PathId>,
     /// Paths whose definition failed.
@@ -123,6 +125,7 @@ impl<'f> Reader<'f> {
             photometries: HashMap::new(),
             without_uv: HashSet::new(),
             images: HashMap::new(),
+            reflectance_maps: HashSet::new(),
             paths: BTreeMap::new(),
             path: None,
             faulty_paths: HashSet::new(),

@@ -13,6 +13,10 @@ use exr::{
 };
 use std::io::Cursor;
 
+/// Pixels of a picture that need no data, and how often larger than its data a larger picture may be: a file of a few bytes
+/// must not fill the memory with black.
+const FREE_AREA: usize = 1 << 22;
+const MOST_EMPTY: usize = 64;
 /// Channels that a remark names.
 const NAMED: usize = 8;
 
@@ -236,7 +240,13 @@ fn placed(
     if (left, top) == (0, 0) && header.layer_size == display.size {
         return Ok((width, height, data));
     }
-    let mut pixels = vec![[0.0; 3]; width as usize * height as usize];
+    let area = width as usize * height as usize;
+    if area > FREE_AREA && area / data.len() > MOST_EMPTY {
+        let reason =
+            format!("its display window of {width} x {height} pixels has data in less than 1/{MOST_EMPTY} of it");
+        return Err(source.advised(reason, "crop it to what it shows"));
+    }
+    let mut pixels = vec![[0.0; 3]; area];
     let mut is_empty = true;
     for (i, row) in data.chunks_exact(data_width).enumerate() {
         let y = top + i as i64;

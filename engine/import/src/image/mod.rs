@@ -28,7 +28,7 @@ const OUTSIDE: f32 = -1e-4;
 /// What an image is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Role {
-    /// Factors on colours.
+    /// Factors on colors.
     Color,
     /// Directions in the tangent frame.
     Normals,

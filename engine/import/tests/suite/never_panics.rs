@@ -34,14 +34,10 @@ fn check(scene: &Scene) {
 }
 
 fn import(bundle: &Bundle) {
-    let listed = load_or_list(bundle, "t.mgf");
-    match load(bundle, "t.mgf") {
-        Ok(Loaded { scene, .. }) => {
-            check(&scene);
-            assert!(listed.is_ok_and(|loaded| loaded.scene.digest() == scene.digest()));
-        }
-        Err(error) => {
-            let listed = listed.expect_err("the same errors");
+    match load_or_list(bundle, "t.mgf") {
+        Ok(Loaded { scene, .. }) => check(&scene),
+        Err(listed) => {
+            let error = load(bundle, "t.mgf").expect_err("the first error");
             assert!(listed.errors.contains(&error) || !listed.complete, "{error}\n{listed:#?}");
         }
     }

@@ -48,16 +48,15 @@ impl Reader<'_> {
 
     /// The file that the first argument names, from the root; one outside the scene's folder is said once.
     pub(super) fn resolve(&mut self, args: &Args<'_>) -> Result<String> {
-        let i = 0;
         args.check_quotes()?;
         self.check_blanks(args)?;
-        let path = files::resolve(args.file, &args.text(i)).map_err(|fault| args.fault_at(i, fault))?;
+        let path = files::resolve(args.file, &args.text(0)).map_err(|fault| args.fault_at(0, fault))?;
         if self.errors.has_failed(&path) {
             self.errors.taint();
-            return Err(args.fault_at(i, Fault::Unreadable { path, reason: String::new(), near: None }));
+            return Err(args.fault_at(0, Fault::Unreadable { path, reason: String::new(), near: None }));
         }
         if !path.starts_with(&self.folder) && self.outside.insert(path.clone()) {
-            self.warnings.push(args.argument_at(i), Oddity::OutsideFolder { path: path.clone() });
+            self.warnings.push(args.argument_at(0), Oddity::OutsideFolder { path: path.clone() });
         }
         Ok(path)
     }
@@ -65,7 +64,8 @@ impl Reader<'_> {
     /// Fails where the arguments are the parts of a file name that has blanks and no quotes: a file has that name, or what
     /// follows the first part cannot be an option.
     fn check_blanks(&self, args: &Args<'_>) -> Result<()> {
-        let is_file = |name: &str| files::resolve(args.file, name).is_ok_and(|path| self.files.size(&path).is_ok());
+        let is_there = |path: String| self.texts.contains_key(&path) || self.files.size(&path).is_ok();
+        let is_file = |name: &str| files::resolve(args.file, name).is_ok_and(is_there);
         let may_be_option = args.raw(1).first().is_none_or(|&byte| byte == b'-');
         if args.is_quoted() || args.len() < 2 || may_be_option && is_file(&args.text(0)) {
             return Ok(());

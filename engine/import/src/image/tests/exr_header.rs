@@ -122,6 +122,9 @@ fn the_picture_is_the_display_window() {
     let attributes = ImageAttributes::new(IntegerBounds::new((0, 0), (40_000, 2)));
     let bytes = file(vec![layer(&[("Y", 1.0)], LayerAttributes::default())], attributes);
     assert!(read(&bytes, Role::Color).unwrap_err().contains("40000 x 2"));
+    let attributes = ImageAttributes::new(IntegerBounds::new((0, 0), (32_768, 32_768)));
+    let bytes = file(vec![layer(&[("Y", 1.0)], LayerAttributes::default())], attributes);
+    assert!(read(&bytes, Role::Color).unwrap_err().contains("has data in less than 1/64 of it"));
 }
 
 #[test]

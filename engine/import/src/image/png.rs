@@ -124,11 +124,9 @@ impl Stated {
                 b"IDAT" => before_pixels = false,
                 b"acTL" => stated.animated = true,
                 b"eXIf" if is_sound => stated.exif = Exif::read(data),
-                _ if is_color => {
-                    if !(is_sound && before_pixels && stated.take(kind, data)) {
-                        let name = String::from_utf8_lossy(kind);
-                        stated.damaged.push(format!("chunk {name} is damaged or misplaced, and not used"));
-                    }
+                _ if is_color && !(is_sound && before_pixels && stated.take(kind, data)) => {
+                    let name = String::from_utf8_lossy(kind);
+                    stated.damaged.push(format!("chunk {name} is damaged or misplaced, and not used"));
                 }
                 _ => {}
             }

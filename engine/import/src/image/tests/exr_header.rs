@@ -45,10 +45,13 @@ fn read(bytes: &[u8], role: Role) -> Result<([f32; 3], Vec<String>), String> {
     Ok((decoded.image.pixels[0], decoded.remarks))
 }
 
+/// Channels with their values; the pixel or the error that they give; the remark.
+type Row<'r> = (&'r [(&'r str, f32)], Result<[f32; 3], &'r str>, &'r str);
+
 #[test]
 fn channels_are_found_by_their_names_or_the_error_lists_them() {
     let rgb = [0.25, 0.5, 0.75];
-    let rows: &[(&[(&str, f32)], Result<[f32; 3], &str>, &str)] = &[
+    let rows: &[Row<'_>] = &[
         (&[("R", 0.25), ("G", 0.5), ("B", 0.75)], Ok(rgb), ""),
         (&[(".R", 0.25), (".G", 0.5), (".B", 0.75)], Ok(rgb), ""),
         (&[("r", 0.25), ("g", 0.5), ("b", 0.75)], Ok(rgb), ""),

@@ -3,6 +3,7 @@
 use super::*;
 use crate::image::{exif, icc};
 use ::png::{BitDepth, ColorType};
+use femc_math::elementary::double::pow;
 
 /// A chunk by its kind and its data.
 type Chunk<'c> = (&'c [u8; 4], &'c [u8]);
@@ -61,19 +62,19 @@ fn iccp(name: &str, profile: &[u8]) -> Vec<u8> {
 fn transfer_functions_of_chunks_are_used_by_their_precedence() {
     let adobe = iccp("ICC profile", &icc::tests::profile("Adobe RGB (1998)", false));
     let srgb = iccp("anything", &icc::tests::profile("sRGB IEC61966-2.1", true));
-    let bt709 = ((HALF + 0.099_296_826_8) / 1.099_296_826_8f64).powf(1.0 / 0.45);
+    let bt709 = pow((HALF + 0.099_296_826_8) / 1.099_296_826_8, 1.0 / 0.45);
     let (linear, g18, compatible) = (gamma(100_000), gamma(55_556), gamma(45_455));
     let rows: &[(&[Chunk<'_>], f64, &str)] = &[
         (&[], SRGB, ""),
         (&[(b"gAMA", &linear)], HALF, ""),
-        (&[(b"gAMA", &g18)], HALF.powf(1e5 / 55_556.0), ""),
+        (&[(b"gAMA", &g18)], pow(HALF, 1e5 / 55_556.0), ""),
         (&[(b"gAMA", &compatible)], SRGB, ""),
         (&[(b"gAMA", &gamma(45_000))], SRGB, ""),
         (&[(b"sRGB", &[0]), (b"gAMA", &linear)], SRGB, ""),
         (&[(b"gAMA", &linear), (b"cICP", &[1, 13, 0, 1])], SRGB, ""),
         (&[(b"cICP", &[1, 8, 0, 1])], HALF, ""),
-        (&[(b"cICP", &[1, 4, 0, 1])], HALF.powf(2.2), ""),
-        (&[(b"cICP", &[1, 5, 0, 1])], HALF.powf(2.8), ""),
+        (&[(b"cICP", &[1, 4, 0, 1])], pow(HALF, 2.2), ""),
+        (&[(b"cICP", &[1, 5, 0, 1])], pow(HALF, 2.8), ""),
         (&[(b"cICP", &[1, 1, 0, 1])], bt709, ""),
         (&[(b"cICP", &[9, 6, 0, 1])], bt709, ""),
         (&[(b"cICP", &[12, 14, 0, 1])], bt709, ""),

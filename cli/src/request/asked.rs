@@ -7,7 +7,7 @@ use crate::exit::{Failure, failed, usage};
 use crate::output::{Say, human};
 use crate::values::{Frames, Size};
 use femc_fault::{Pretense, pretended};
-use femc_import::{Bundle, ImportError, Loaded, ScenePath};
+use femc_import::{Bundle, ImportErrors, Loaded, ScenePath};
 use femc_pipeline::auto::{self, Choice};
 use femc_pipeline::{
     FIRST_PASS, Feature, Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source, Stop,
@@ -264,8 +264,28 @@ fn planned(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result
 }
 
 /// Import the scene at `path`, whose files are below `root` (`None`: below its folder). Faults name files as they are
-/// reached from here.
+/// reached from here; of several the first is named.
 pub fn load(path: &Path, root: Option<&Path>) -> Result<(ScenePath, Loaded), Failure> {
+    let place = locate(path, root)?;
+    let loaded = place.load_or_list().map_err(|failed_import| {
+        let ImportErrors { errors, complete } = failed_import;
+        let first = shown(&place, &errors[0]);
+        let more = match errors.len() - 1 {
+            0 if complete => String::new(),
+            0 => format!("; there may be more errors: `femc check {}` lists them", path.display()),
+            more => {
+                let least = if complete { "" } else { "at least " };
+                let more = human::count(more as u64, "more error");
+                format!("; {least}{more}: `femc check {}` lists them", path.display())
+            }
+        };
+        failed(format!("{first}{more}"))
+    })?;
+    Ok((place, loaded))
+}
+
+/// The scene at `path`, which is a file, whose files are below `root` (`None`: below its folder).
+pub fn locate(path: &Path, root: Option<&Path>) -> Result<ScenePath, Failure> {
     match path.metadata() {
         Err(e) => return Err(usage(format!("{}: {e}; give the path of a scene file", path.display()))),
         Ok(data) if data.is_dir() => {
@@ -283,9 +303,7 @@ pub fn load(path: &Path, root: Option<&Path>) -> Result<(ScenePath, Loaded), Fai
         }
         Some(root) => ScenePath::below(root, path),
     };
-    let place = place.map_err(usage)?;
-    let loaded = place.load().map_err(|e: ImportError| failed(shown(&place, e)))?;
-    Ok((place, loaded))
+    place.map_err(usage)
 }
 
 /// A `vary` of what is not there would fail on the farm, in every frame and without its place in the file.

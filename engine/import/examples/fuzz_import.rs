@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release -p femc-import --example fuzz_import -- --seconds 600 --seed 1`
 
-use femc_import::{Bundle, load};
+use femc_import::{Bundle, load, load_or_list};
 use std::{
     collections::BTreeMap,
     panic::{AssertUnwindSafe, catch_unwind},
@@ -37,7 +37,15 @@ fn main() {
         let bundle = Bundle(mutate(&mut rng));
         let began = Instant::now();
         let look = |bundle: &Bundle| {
-            let scene = load(bundle, "t.mgf")?.scene;
+            let scene = match load_or_list(bundle, "t.mgf") {
+                Ok(loaded) => loaded.scene,
+                Err(listed) => {
+                    // The list has the error at which a plain import ends.
+                    let first = load(bundle, "t.mgf").expect_err("the first error");
+                    assert!(listed.errors.contains(&first) || !listed.complete);
+                    return Err(first);
+                }
+            };
             let _faults = femc_scene::check(&scene);
             let _survey = femc_scene::survey(&scene, &|_| 1.0);
             Ok::<(), femc_import::ImportError>(())

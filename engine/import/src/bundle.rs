@@ -56,6 +56,13 @@ impl Files for Bundle {
     fn read(&self, path: &str) -> io::Result<Vec<u8>> {
         self.get(path).cloned()
     }
+
+    fn names(&self, folder: &str) -> Vec<String> {
+        let of =
+            |path: &String| path.rsplit_once('/').map_or(("", &**path), |(folder, name)| (folder, name)).0 == folder;
+        let name = |path: &String| path.rsplit('/').next().unwrap_or_default().to_owned();
+        self.0.keys().filter(|path| of(path)).map(name).collect()
+    }
 }
 
 impl Bundle {

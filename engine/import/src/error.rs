@@ -42,6 +42,16 @@ impl ImportError {
     }
 }
 
+/// All errors of a scene that were found, at least one.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{}", errors[0])]
+pub struct ImportErrors {
+    /// In order of place.
+    pub errors: Vec<ImportError>,
+    /// Whether the whole scene was read: false where the number of errors or a limit on memory ended the import.
+    pub complete: bool,
+}
+
 /// What a name stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
@@ -57,6 +67,20 @@ pub enum Kind {
     Medium,
     /// A motion path.
     Path,
+}
+
+impl Kind {
+    /// The lines that define a name.
+    fn definition(self, name: &str) -> String {
+        match self {
+            Self::Vertex => format!("`v {name} =` and `p x y z`"),
+            Self::Color => format!("`c {name} =` and `crgb r g b`"),
+            Self::Material => format!("`m {name} =` and `rd r`"),
+            Self::Camera => format!("`camera {name} =`, `origin x y z` and `target x y z`"),
+            Self::Medium => format!("`medium {name} =` and `sigma_s s`"),
+            Self::Path => format!("`path {name} = linear` and `key t`"),
+        }
+    }
 }
 
 impl fmt::Display for Kind {
@@ -76,12 +100,35 @@ impl fmt::Display for Kind {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Fault {
     /// A file is missing or cannot be read.
-    #[error("cannot read `{path}`: {reason}; check the path, it is relative to the file that names it")]
+    #[error("cannot read `{path}`: {reason}; {}", path_advice(near.as_deref()))]
     Unreadable {
         /// The file, relative to the root.
         path: String,
         /// The system's reason.
         reason: String,
+        /// Name of a file in the same folder that may be meant.
+        near: Option<String>,
+    },
+    /// A quoted file name without its end.
+    #[error("the file name has no closing double quote on this line; add it")]
+    UnclosedQuote,
+    /// Text directly after a quoted file name.
+    #[error(
+        "found `{found}` directly after the closing double quote; put a blank between them, or quote the whole name"
+    )]
+    AfterQuote {
+        /// As written.
+        found: String,
+    },
+    /// A file name with blanks that is not in quotes.
+    #[error("{}", blank_name(entity, name, *exists))]
+    BlankName {
+        /// The entity.
+        entity: String,
+        /// The name with its blanks.
+        name: String,
+        /// Whether it is the name of a file.
+        exists: bool,
     },
     /// An absolute path.
     #[error("`{path}` is an absolute path; give it relative to this file")]
@@ -182,7 +229,7 @@ pub enum Fault {
         allowed: &'static str,
     },
     /// A name that stands for nothing.
-    #[error("undefined {kind} `{name}`; {}", advice(nearest))]
+    #[error("undefined {kind} `{name}`; {}", advice(*kind, name, nearest))]
     Undefined {
         /// Of what kind.
         kind: Kind,
@@ -311,12 +358,43 @@ fn left_over(found: &str, numbers: u64) -> String {
     }
 }
 
-fn advice(nearest: &[String]) -> String {
-    match nearest {
-        [] => "none is defined before this line: define it first".to_owned(),
-        names => {
-            let quoted: Vec<_> = names.iter().map(|name| format!("`{name}`")).collect();
-            format!("define it before this line, or use a near name: {}", quoted.join(", "))
+impl Fault {
+    /// The file that cannot be used, relative to the root, where the fault is a file's and not its mention's.
+    pub fn file(&self) -> Option<&str> {
+        match self {
+            Self::Unreadable { path, .. } | Self::TextTooLarge { path, .. } | Self::BadFile { path, .. } => Some(path),
+            _ => None,
         }
     }
+}
+
+fn advice(kind: Kind, name: &str, nearest: &[String]) -> String {
+    let definition = kind.definition(name);
+    match nearest {
+        [] => format!("define it before this line: {definition}"),
+        names => {
+            let quoted: Vec<_> = names.iter().map(|name| format!("`{name}`")).collect();
+            format!("define it before this line ({definition}), or use a near name: {}", quoted.join(", "))
+        }
+    }
+}
+
+fn path_advice(near: Option<&str>) -> String {
+    match near {
+        Some(name) if name.contains(char::is_whitespace) => format!("did you mean `\"{name}\"`?"),
+        Some(name) => format!("did you mean `{name}`?"),
+        None => "check the path, it is relative to the file that names it".to_owned(),
+    }
+}
+
+fn blank_name(entity: &str, name: &str, exists: bool) -> String {
+    if exists {
+        return format!("the file name `{name}` has blanks; put it in double quotes: `{entity} \"{name}\"`");
+    }
+    let (first, rest) = name.split_once(char::is_whitespace).unwrap_or((name, ""));
+    let rest = rest.trim_start();
+    format!(
+        "found `{rest}` after the file name `{first}`; if it is part of the name, put the name in double quotes: \
+         `{entity} \"{name}\"`"
+    )
 }

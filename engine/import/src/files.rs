@@ -9,6 +9,8 @@ use std::{
 
 /// Longest path inside a scene, bytes.
 pub(crate) const MAX_PATH: usize = 1024;
+/// Most names of a folder that are compared with one that is not there.
+const MAX_NAMES: usize = 10_000;
 
 /// The files of a scene. Paths are relative to the scene's root, `/`-separated and normalised: no `.`, no `..`, no empty part.
 pub trait Files {
@@ -16,6 +18,11 @@ pub trait Files {
     fn size(&self, path: &str) -> io::Result<u64>;
     /// The whole file.
     fn read(&self, path: &str) -> io::Result<Vec<u8>>;
+    /// Names of the files in a folder, in any order; empty where they are not known. The root is the folder `""`.
+    fn names(&self, folder: &str) -> Vec<String> {
+        let _ = folder;
+        Vec::new()
+    }
 }
 
 /// A folder on disk; links that lead out of it are refused.
@@ -58,6 +65,27 @@ impl Files for Disk {
         file.take(size).read_to_end(&mut bytes)?;
         Ok(bytes)
     }
+
+    fn names(&self, folder: &str) -> Vec<String> {
+        let listed = self.root.canonicalize().and_then(|root| {
+            let full = root.join(folder).canonicalize()?;
+            if full.starts_with(&root) { full.read_dir() } else { Err(io::ErrorKind::PermissionDenied.into()) }
+        });
+        let names = listed.into_iter().flatten().flatten().take(MAX_NAMES);
+        names.filter_map(|entry| entry.file_name().into_string().ok()).collect()
+    }
+}
+
+/// A file in the folder of `path` that may be meant: its name differs in upper and lower case, in blanks at the ends, or in
+/// blanks that are written as `%20`, `_` or `+`.
+pub(crate) fn near(files: &dyn Files, path: &str) -> Option<String> {
+    let plain = |name: &str| name.replace("%20", " ").replace(['_', '+'], " ").trim().to_lowercase();
+    let (folder, name) = path.rsplit_once('/').unwrap_or(("", path));
+    let mut near: Vec<String> = files.names(folder).into_iter().filter(|other| plain(other) == plain(name)).collect();
+    near.retain(|other| other != name);
+    near.sort();
+    let near = near.into_iter().next()?;
+    Some(if folder.is_empty() { near } else { format!("{folder}/{near}") })
 }
 
 /// The path `named` inside the file `by`, relative to the root and normalised.

@@ -15,7 +15,7 @@ mod text;
 mod warning;
 
 pub use bundle::{Bundle, BundleError};
-pub use error::{Fault, ImportError, Kind, Position};
+pub use error::{Fault, ImportError, ImportErrors, Kind, Position};
 pub use files::{Disk, Files};
 pub use scene_path::ScenePath;
 pub use warning::{Oddity, Warning};
@@ -36,9 +36,19 @@ pub struct Loaded {
     pub files: Vec<String>,
 }
 
-/// Imports the scene file `entry` of `files`; other files are found relative to the files that name them.
+/// Most errors that [`load_or_list`] lists.
+pub const MAX_ERRORS: usize = 100;
+
+/// Imports the scene file `entry` of `files`; other files are found relative to the files that name them. The import ends at
+/// the first error.
 pub fn load(files: &dyn Files, entry: &str) -> Result<Loaded, ImportError> {
-    format::mgf::load(files, entry)
+    format::mgf::load(files, entry, 1).map_err(|mut failed| failed.errors.swap_remove(0))
+}
+
+/// Imports like [`load`], but reads on after an error and lists up to [`MAX_ERRORS`] of them. Errors that may follow from an
+/// earlier one are left out.
+pub fn load_or_list(files: &dyn Files, entry: &str) -> Result<Loaded, ImportErrors> {
+    format::mgf::load(files, entry, MAX_ERRORS)
 }
 
 /// Imports the scene file at `path`; its folder is the root that nothing may leave.

@@ -3,7 +3,7 @@
 //! Files of the scene are named from the root, so that a scene that shares files with its neighbors is packed and found
 //! again by the same names on every machine.
 
-use crate::{Disk, Fault, ImportError, Loaded, Position, load};
+use crate::{Disk, Fault, ImportError, ImportErrors, Loaded, Position, load, load_or_list};
 use std::path::{Component, Path, PathBuf};
 
 /// A scene file and its root.
@@ -58,6 +58,11 @@ impl ScenePath {
     pub fn load(&self) -> Result<Loaded, ImportError> {
         load(&self.disk(), &self.entry)
     }
+
+    /// Imports the scene, or lists its errors.
+    pub fn load_or_list(&self) -> Result<Loaded, ImportErrors> {
+        load_or_list(&self.disk(), &self.entry)
+    }
 }
 
 fn folder(scene: &Path) -> &Path {
@@ -72,7 +77,7 @@ fn at(path: &Path) -> Position {
 }
 
 fn unreadable(path: &Path, reason: &str) -> ImportError {
-    let fault = Fault::Unreadable { path: path.display().to_string(), reason: reason.to_owned() };
+    let fault = Fault::Unreadable { path: path.display().to_string(), reason: reason.to_owned(), near: None };
     ImportError::new(at(path), fault)
 }
 

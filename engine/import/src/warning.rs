@@ -94,10 +94,12 @@ pub enum Oddity {
         /// The material.
         material: String,
     },
-    /// Image values outside their domain.
+    /// A statement of an image file that is not used, or values outside of their domain; said once per file.
     Texture {
+        /// The file.
+        path: String,
         /// What was found and what was made of it.
-        what: &'static str,
+        what: String,
     },
     /// A scene without a camera was given one.
     DefaultCamera {
@@ -184,7 +186,7 @@ impl fmt::Display for Oddity {
             Self::Replaced { what } => write!(f, "{what} replaces an earlier one"),
             Self::NotTransformed { what } => write!(f, "{what} inside `xf`: it stays in world coordinates"),
             Self::Photometry { what } => f.write_str(what),
-            Self::Texture { what } => f.write_str(what),
+            Self::Texture { path, what } => write!(f, "`{path}`: {what}"),
             Self::DefaultCamera { standpoint, origin, target } => {
                 let from = match standpoint {
                     Standpoint::Inside => "inside the closed room",

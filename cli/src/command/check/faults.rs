@@ -1,9 +1,8 @@
 //! Faults of the import and of the scene: one list, in order of place, and by kinds.
 
-use crate::exit::Failure;
 use crate::output::{Say, human};
 use crate::request::shown;
-use femc_import::{Loaded, Oddity, ScenePath, Warning};
+use femc_import::{ImportError, Loaded, Oddity, ScenePath, Warning};
 use femc_scene::check::{Fault, FaultKind, Severity, check};
 use femc_scene::{Location, Scene};
 use serde::Serialize;
@@ -22,6 +21,9 @@ pub struct Line {
     pub file: String,
     /// Line, from 1; 0: the file as a whole.
     pub line: u32,
+    /// Column of an error of the import, from 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub column: Option<u32>,
     /// What is wrong.
     pub message: String,
     /// What to do about it.
@@ -31,7 +33,11 @@ pub struct Line {
 
 impl Line {
     fn place(&self) -> String {
-        if self.line == 0 { self.file.clone() } else { format!("{}:{}", self.file, self.line) }
+        match (self.line, self.column) {
+            (0, _) => self.file.clone(),
+            (line, None) => format!("{}:{line}", self.file),
+            (line, Some(column)) => format!("{}:{line}:{column}", self.file),
+        }
     }
 }
 
@@ -48,14 +54,20 @@ pub struct Kind {
     pub places: Vec<String>,
 }
 
-/// A scene that cannot be imported has one error.
-pub fn unreadable(failure: &Failure) -> Line {
-    let (place, message) = failure.message.split_once(": ").unwrap_or(("", &failure.message));
-    let mut parts = place.split(':');
-    let file = parts.next().unwrap_or_default().to_owned();
-    let line = parts.next().and_then(|line| line.parse().ok()).unwrap_or(0);
-    let (kind, message) = ("import".to_owned(), message.to_owned());
-    Line { severity: Severity::Error, kind, file, line, message, advice: String::new() }
+/// Kind of the errors of a scene that cannot be imported.
+const IMPORT: &str = "import";
+
+/// An error of a scene that cannot be imported.
+pub fn unreadable(root: &ScenePath, ImportError { at, fault }: &ImportError) -> Line {
+    Line {
+        severity: Severity::Error,
+        kind: IMPORT.to_owned(),
+        file: shown(root, &at.file),
+        line: at.line,
+        column: Some(at.column).filter(|&column| column > 0),
+        message: fault.to_string(),
+        advice: String::new(),
+    }
 }
 
 /// Warnings and notes of the import and faults of the scene, in order of place; what two of them say is said once.
@@ -75,13 +87,15 @@ pub fn lines(root: &ScenePath, loaded: &Loaded) -> Vec<Line> {
         };
         if !faults.iter().any(again) {
             let (kind, file) = (oddity.kind().to_owned(), shown(root, &at.file));
-            let line = Line { severity, kind, file, line: at.line, message: oddity.to_string(), advice: String::new() };
+            let (line, message, advice) = (at.line, oddity.to_string(), String::new());
+            let line = Line { severity, kind, file, line, column: None, message, advice };
             keyed.push((place, line));
         }
     }
     for Fault { severity, kind, location, message, advice } in faults {
         let file = scene.files.get(location.file as usize).map_or("", String::as_str);
-        let line = Line { severity, kind: kebab(kind), file: shown(root, file), line: location.line, message, advice };
+        let (kind, file, line, column) = (kebab(kind), shown(root, file), location.line, None);
+        let line = Line { severity, kind, file, line, column, message, advice };
         keyed.push(((location.file as usize, location.line), line));
     }
     keyed.sort_by_key(|(place, _)| *place);
@@ -144,7 +158,9 @@ pub fn kinds(lines: &[Line]) -> Vec<Kind> {
 
 /// A line for each kind; or for each fault, where all are wanted.
 pub fn print(say: Say, lines: &[Line], all: bool) {
-    let groups = if all { lines.iter().map(|line| vec![line]).collect() } else { groups(lines) };
+    // Each error of the import is a fault of its own.
+    let each = all || lines.iter().any(|line| line.kind == IMPORT);
+    let groups = if each { lines.iter().map(|line| vec![line]).collect() } else { groups(lines) };
     for group in groups {
         let Line { severity, kind, message, advice, .. } = group[0];
         if say.quiet() && *severity != Severity::Error {

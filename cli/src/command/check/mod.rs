@@ -6,10 +6,11 @@ mod faults;
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
-use crate::request::load;
+use crate::request::locate;
 use clap::Args;
 use contents::Contents;
 use faults::{Kind, Line};
+use femc_import::ImportErrors;
 use femc_scene::check::Severity;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -65,27 +66,46 @@ impl Report {
 
 /// Load, check, list.
 pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
-    let (root, loaded) = match load(&args.scene, args.root.as_deref()) {
-        Ok(loaded) => loaded,
-        Err(failure) => {
-            if args.format.json && failure.exit == Exit::Failed {
-                json::print(say, &Report::new(args, vec![faults::unreadable(&failure)], Contents::default()))?;
-            }
-            return Err(failure);
+    let root = locate(&args.scene, args.root.as_deref())?;
+    let (report, imported) = match root.load_or_list() {
+        Ok(loaded) => {
+            let report = Report::new(args, faults::lines(&root, &loaded), Contents::of(&loaded.scene, &root));
+            (report, Imported::Whole)
+        }
+        Err(ImportErrors { errors, complete }) => {
+            let lines = errors.iter().map(|error| faults::unreadable(&root, error)).collect();
+            let imported = if complete { Imported::Not } else { Imported::Partly };
+            (Report::new(args, lines, Contents::default()), imported)
         }
     };
-    let report = Report::new(args, faults::lines(&root, &loaded), Contents::of(&loaded.scene, &root));
     if args.format.json {
         json::print(say, &report)?;
     } else {
-        print(say, &report, args.all);
+        print(say, &report, args.all, imported);
     }
     Ok(if report.errors > 0 { Exit::Failed } else { Exit::Done })
 }
 
-fn print(say: Say, report: &Report, all: bool) {
+/// How much of a scene was imported.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Imported {
+    /// All of it.
+    Whole,
+    /// None: it has errors, and all of its files were read for them.
+    Not,
+    /// None, and the list of errors ends before the scene.
+    Partly,
+}
+
+fn print(say: Say, report: &Report, all: bool, imported: Imported) {
     faults::print(say, &report.faults, all);
     if say.quiet() {
+        return;
+    }
+    if imported != Imported::Whole {
+        let least = if imported == Imported::Partly { "at least " } else { "" };
+        let errors = human::count(report.errors as u64, "error");
+        say.result(format!("{}: {least}{errors}; warnings are listed for scenes without errors", report.scene));
         return;
     }
     report.contents.print(say);

@@ -1,5 +1,7 @@
 //! The corpus and its mutations; the tests use them, too.
 
+mod images;
+
 use std::collections::BTreeMap;
 
 /// A small generator (SplitMix64), so that a finding is its seed.
@@ -152,6 +154,11 @@ const WORDS: &[&str] = &[
     "linear",
     "spline",
     "part.mgf",
+    "\"part.mgf\"",
+    "\"",
+    "undefined",
+    "lost.mgf",
+    "map_n",
     "t.mgf",
     "lamp.ies",
     "../x",
@@ -203,9 +210,12 @@ pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
         let text = if rng.below(3) == 0 { &mut lamp } else { &mut scene };
         change(rng, text);
     }
-    if rng.below(3) == 0 {
+    match rng.below(6) {
         // Nothing before the photometry can fail.
-        scene = b"ies lamp.ies\n".to_vec();
+        0 | 1 => scene = b"ies lamp.ies\n".to_vec(),
+        // The same for images.
+        2 | 3 => scene = b"map_rd x.png\nmap_n \"x.png\"\nmap_ed x.png\nv a =\nsph a 1\n".to_vec(),
+        _ => {}
     }
     let mut bend = b"1 2 0 90 1 .5".to_vec();
     if rng.below(8) == 0 {
@@ -222,6 +232,7 @@ pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
         ("part.mgf".into(), SCENES[0].as_bytes().to_vec()),
         ("lamp.ies".into(), lamp),
         ("bend.tlt".into(), bend),
+        ("x.png".into(), images::image(rng)),
     ])
 }
 

@@ -3,7 +3,7 @@
 use crate::common::try_files;
 
 /// What is broken; the scene `t.mgf`; where the error is; a part of what it says.
-const TABLE: &[(&str, &str, &str, &str)] = &[
+pub const TABLE: &[(&str, &str, &str, &str)] = &[
     // Numbers and arguments.
     ("word for a number", "v a =\np 1 two 3", "t.mgf:2:5", "`two` is not a number"),
     ("infinite coordinate", "v a =\np 1 inf 3", "t.mgf:2:5", "coordinate (m) is not finite"),
@@ -21,9 +21,9 @@ const TABLE: &[(&str, &str, &str, &str)] = &[
         "undefined vertex",
         "v v1 =\nv v2 =\nf v1 v2 vv1",
         "t.mgf:3:9",
-        "undefined vertex `vv1`; define it before this line, or use a near name: `v1`, `v2`",
+        "undefined vertex `vv1`; define it before this line (`v vv1 =` and `p x y z`), or use a near name: `v1`, `v2`",
     ),
-    ("vertex without any", "sph a 1", "t.mgf:1:5", "none is defined before this line"),
+    ("vertex without any", "sph a 1", "t.mgf:1:5", "define it before this line: `v a =` and `p x y z`"),
     ("undefined template", "v a = b", "t.mgf:1:7", "undefined vertex `b`"),
     ("undefined color", "c red", "t.mgf:1:3", "undefined color `red`"),
     ("undefined material", "m wood =\nm woood", "t.mgf:2:3", "near name: `wood`"),

@@ -4,7 +4,7 @@
 mod corpus;
 
 use corpus::{Rng, mutate, soup};
-use femc_import::{Bundle, Loaded, load};
+use femc_import::{Bundle, Loaded, load, load_or_list};
 use femc_scene::{Scene, Shape};
 use proptest::prelude::*;
 
@@ -34,8 +34,12 @@ fn check(scene: &Scene) {
 }
 
 fn import(bundle: &Bundle) {
-    if let Ok(Loaded { scene, .. }) = load(bundle, "t.mgf") {
-        check(&scene);
+    match load_or_list(bundle, "t.mgf") {
+        Ok(Loaded { scene, .. }) => check(&scene),
+        Err(listed) => {
+            let error = load(bundle, "t.mgf").expect_err("the first error");
+            assert!(listed.errors.contains(&error) || !listed.complete, "{error}\n{listed:#?}");
+        }
     }
 }
 

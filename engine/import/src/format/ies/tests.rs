@@ -10,7 +10,7 @@ fn read(text: &str) -> Result<Luminaire, ImportError> {
         "bend.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5\nEND\n".to_vec()))),
         "commas.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 0,9 0,5\n".to_vec()))),
         "long.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5 .1\n".to_vec()))),
-        _ => Err(Fault::Unreadable { path: name.to_owned(), reason: "not found".into() }),
+        _ => Err(Fault::Unreadable { path: name.to_owned(), reason: "not found".into(), near: None }),
     })
 }
 

@@ -48,7 +48,8 @@ impl Reader<'_> {
             _ => return Err(unexpected(2, "linear or spline")),
         };
         let name = args.text(0).into_owned();
-        if let Some(known) = self.paths.get(&name) {
+        let known = self.paths.get(&name);
+        if let Some(known) = known.filter(|id| !self.faulty_paths.contains(id)) {
             let line = self.scene.paths[known.index()].location.line;
             return Err(args.fault_at(0, Fault::Redefined { kind: Kind::Path, name, line }));
         }
@@ -126,9 +127,14 @@ impl Reader<'_> {
     }
 
     /// Every path needs a key.
-    pub(super) fn finish_paths(&self) -> Result<()> {
-        let Some(path) = self.scene.paths.iter().find(|path| path.keys.is_empty()) else { return Ok(()) };
-        let fault = Fault::Shape { what: "this path has no keys", advice: "add `key t [xf args]` lines after it" };
-        Err(ImportError::new(self.position(path.location), fault))
+    pub(super) fn finish_paths(&mut self) -> Result<()> {
+        for (i, path) in self.scene.paths.iter().enumerate() {
+            if path.keys.is_empty() && !self.faulty_paths.contains(&PathId(i as u32)) {
+                let fault =
+                    Fault::Shape { what: "this path has no keys", advice: "add `key t [xf args]` lines after it" };
+                self.errors.report(ImportError::new(self.position(path.location), fault))?;
+            }
+        }
+        Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! The arguments of one entity, with typed access that knows where each stands.
 
-use super::lexer::Token;
+use super::lexer::{Quotes, Token};
 use crate::{Fault, ImportError, Position};
 use femc_math::glam::DVec3;
 use std::borrow::Cow;
@@ -76,6 +76,38 @@ impl<'a> Args<'a> {
     /// Argument `i` as text.
     pub fn text(&self, i: usize) -> Cow<'a, str> {
         String::from_utf8_lossy(self.raw(i))
+    }
+
+    /// Whether the first argument is in double quotes.
+    pub fn is_quoted(&self) -> bool {
+        self.tokens.get(1).is_some_and(|token| token.quotes != Quotes::None)
+    }
+
+    /// Fails unless the first argument, if it is quoted, ends with a quote and a blank.
+    pub fn check_quotes(&self) -> Result<()> {
+        let Some(name) = self.tokens.get(1) else { return Ok(()) };
+        if name.quotes == Quotes::Open {
+            return Err(self.fault_at(0, Fault::UnclosedQuote));
+        }
+        let end = name.column as usize + name.text.len() + 2;
+        match self.tokens.get(2) {
+            Some(next) if self.is_quoted() && next.line == name.line && next.column as usize == end => {
+                Err(self.fault_at(1, Fault::AfterQuote { found: self.text(1).into_owned() }))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The first `n` arguments with the blanks that are between them.
+    pub fn joined(&self, n: usize) -> String {
+        let mut text = self.text(0).into_owned();
+        for pair in self.tokens[1..=n].windows(2) {
+            let end = pair[0].column as usize + pair[0].text.len();
+            let blanks = if pair[0].line == pair[1].line { (pair[1].column as usize).saturating_sub(end) } else { 1 };
+            text.extend(std::iter::repeat_n(' ', blanks.max(1)));
+            text.push_str(&String::from_utf8_lossy(pair[1].text));
+        }
+        text
     }
 
     /// Argument `i` as a finite number.

@@ -38,7 +38,7 @@ impl Reader<'_> {
     pub(super) fn camera(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1..=3, "NAME [= [TEMPLATE]]")?;
         let replaced = args.len() > 1 && self.cameras.defined(&args.text(0)).is_some();
-        if self.cameras.select(args)? == Opened::Again {
+        if self.cameras.select(args, &mut self.errors)? == Opened::Again {
             return Ok(());
         }
         let camera = self.cameras.current_mut();
@@ -120,15 +120,16 @@ impl Reader<'_> {
 
     /// Checks what depends on several fields and puts the cameras into the scene.
     pub(super) fn finish_cameras(&mut self) -> Result<()> {
-        for camera in self.cameras.named() {
-            let fault =
-                |what, advice| Err(ImportError::new(self.position(camera.location), Fault::Shape { what, advice }));
-            let Some(view) = (camera.target - camera.origin).try_normalize() else {
-                return fault("this camera looks nowhere: origin and target are one point", "give both, and apart");
+        for camera in self.cameras.sound() {
+            let [what, advice] = match (camera.target - camera.origin).try_normalize() {
+                None => ["this camera looks nowhere: origin and target are one point", "give both, and apart"],
+                Some(view) if view.cross(camera.up.normalize_or_zero()).length() < PARALLEL => {
+                    ["this camera's `up` is parallel to its view", "choose another `up`"]
+                }
+                Some(_) => continue,
             };
-            if view.cross(camera.up.normalize_or_zero()).length() < PARALLEL {
-                return fault("this camera's `up` is parallel to its view", "choose another `up`");
-            }
+            let error = ImportError::new(self.position(camera.location), Fault::Shape { what, advice });
+            self.errors.report(error)?;
         }
         self.scene.cameras = self.cameras.named().cloned().collect();
         Ok(())

@@ -1,4 +1,7 @@
-//! Colour contexts: `c`, `cxy`, `cspec`, `cct`, `cmix`, `crgb`.
+//! Color contexts: `c`, `cxy`, `cspec`, `cct`, `cmix`, `crgb`.
+//!
+//! A color keeps its chromaticity, which may lie outside Rec.709: mixtures of such colors may lie inside. It is clipped
+//! where a material, a medium or a lamp uses it, and the warning is given then.
 
 use super::{
     args::{Args, Result},
@@ -6,7 +9,7 @@ use super::{
     spectrum::{self, Gamut},
 };
 use crate::{Fault, Oddity};
-use femc_scene::Tinted;
+use femc_scene::{Location, Tinted};
 
 /// A colour as it stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,11 +18,15 @@ pub(super) struct Color {
     pub rgb: [f64; 3],
     /// Given by `crgb`: used as is.
     pub raw: bool,
+    /// Like `rgb`, but not clipped into Rec.709.
+    wide: [f64; 3],
+    /// Where a color was given that had to be clipped.
+    clipped_at: Option<Location>,
 }
 
 impl Default for Color {
     fn default() -> Self {
-        Self { rgb: [1.0; 3], raw: false }
+        Self { rgb: [1.0; 3], raw: false, wide: [1.0; 3], clipped_at: None }
     }
 }
 
@@ -81,9 +88,10 @@ impl Reader<'_> {
         let (mut sum, mut total) = ([0.0; 3], 0.0);
         for i in (0..args.len()).step_by(2) {
             let weight = args.number_in(i, "weight", ">= 0", |w| w >= 0.0)?;
-            let color = *self.colors.get(self.colors.index(args, i + 1)?);
+            let slot = self.colors.index(args, i + 1, &mut self.errors)?;
+            let color = *self.colors.get(slot);
             let what = Fault::Shape { what: "a black color has no chromaticity to mix", advice: "use a brighter one" };
-            let unit = spectrum::normalized(color.rgb).ok_or_else(|| args.fault_at(i + 1, what))?;
+            let unit = spectrum::normalized(color.wide).ok_or_else(|| args.fault_at(i + 1, what))?;
             for k in 0..3 {
                 sum[k] += weight * unit[k];
             }
@@ -92,16 +100,30 @@ impl Reader<'_> {
         if total <= 0.0 {
             return Err(args.range(0, "sum of the weights", total, "> 0"));
         }
-        let color = spectrum::normalized(sum).map(|rgb| Gamut { rgb, clipped: false });
-        self.set_color(args, color)
+        self.set_color(args, Gamut::new(sum))
     }
 
     pub(super) fn crgb(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(3..=3, "r g b")?;
         let channel = |i| args.number_in(i, "color component", ">= 0", |x| x >= 0.0);
         self.note_color();
-        *self.colors.current_mut() = Color { rgb: [channel(0)?, channel(1)?, channel(2)?], raw: true };
+        let rgb = [channel(0)?, channel(1)?, channel(2)?];
+        *self.colors.current_mut() = Color { rgb, raw: true, wide: rgb, clipped_at: None };
         Ok(())
+    }
+
+    /// The current color, to be used: that it was clipped is said once for each place that gives a color.
+    pub(super) fn used_color(&mut self) -> Color {
+        if self.colors.is_faulty() {
+            self.errors.taint();
+        }
+        let color = *self.colors.current();
+        if let Some(location) = color.clipped_at
+            && self.clipped_colors.insert(location)
+        {
+            self.warnings.push(self.position(location), Oddity::OutOfGamut);
+        }
+        color
     }
 
     /// Remembers that a color was given: it tints what the current medium says next.
@@ -112,12 +134,10 @@ impl Reader<'_> {
     fn set_color(&mut self, args: &Args<'_>, color: Option<Gamut>) -> Result<()> {
         let fault =
             Fault::Shape { what: "this color has no visible light", advice: "use values with a finite luminance" };
-        let Gamut { rgb, clipped } = color.ok_or_else(|| args.fault(fault))?;
-        if clipped {
-            self.warn(args, Oddity::OutOfGamut);
-        }
+        let Gamut { rgb, wide, clipped } = color.ok_or_else(|| args.fault(fault))?;
         self.note_color();
-        *self.colors.current_mut() = Color { rgb, raw: false };
+        let clipped_at = clipped.then(|| args.location());
+        *self.colors.current_mut() = Color { rgb, raw: false, wide, clipped_at };
         Ok(())
     }
 }

@@ -5,7 +5,7 @@ use super::{
     lexer::{Lexer, MAX_LINE},
     reader::Reader,
 };
-use crate::{Fault, ImportError, Oddity, Position, files, text};
+use crate::{Fault, Files, ImportError, Oddity, Position, files, text};
 use std::sync::Arc;
 
 /// Most nested files.
@@ -14,6 +14,8 @@ const MAX_DEPTH: usize = 64;
 const MAX_INCLUDES: u64 = 1_000_000;
 /// Most text of a scene, counted as often as it is included, bytes.
 const MAX_VOLUME: u64 = 4 << 30;
+/// Most arguments that are taken as parts of one file name with blanks.
+const MAX_PARTS: usize = 16;
 /// Largest text file, bytes.
 pub(super) const MAX_TEXT: u64 = 256 << 20;
 
@@ -26,11 +28,16 @@ pub(super) struct OpenFile {
     pub objects: usize,
 }
 
+/// The fault of a file that cannot be read.
+pub(super) fn unreadable(files: &dyn Files, path: &str, reason: &std::io::Error) -> Fault {
+    Fault::Unreadable { path: path.to_owned(), reason: reason.to_string(), near: files::near(files, path) }
+}
+
 impl Reader<'_> {
     /// `i path [xf args]`.
     pub(super) fn i(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1.., "a path and transform arguments")?;
-        let path = self.resolve(args, 0)?;
+        let path = self.resolve(args)?;
         if args.len() == 1 {
             return self.run(&path, args.argument_at(0));
         }
@@ -39,13 +46,42 @@ impl Reader<'_> {
         self.pop_frame()
     }
 
-    /// The file that argument `i` names, from the root; one outside the scene's folder is said once.
-    pub(super) fn resolve(&mut self, args: &Args<'_>, i: usize) -> Result<String> {
-        let path = files::resolve(args.file, &args.text(i)).map_err(|fault| args.fault_at(i, fault))?;
+    /// The file that the first argument names, from the root; one outside the scene's folder is said once.
+    pub(super) fn resolve(&mut self, args: &Args<'_>) -> Result<String> {
+        args.check_quotes()?;
+        self.check_blanks(args)?;
+        let path = files::resolve(args.file, &args.text(0)).map_err(|fault| args.fault_at(0, fault))?;
+        if self.errors.has_failed(&path) {
+            self.errors.taint();
+            return Err(args.fault_at(0, Fault::Unreadable { path, reason: String::new(), near: None }));
+        }
         if !path.starts_with(&self.folder) && self.outside.insert(path.clone()) {
-            self.warnings.push(args.argument_at(i), Oddity::OutsideFolder { path: path.clone() });
+            self.warnings.push(args.argument_at(0), Oddity::OutsideFolder { path: path.clone() });
         }
         Ok(path)
+    }
+
+    /// Fails where the arguments are the parts of a file name that has blanks and no quotes: a file has that name, or what
+    /// follows the first part cannot be an option.
+    fn check_blanks(&self, args: &Args<'_>) -> Result<()> {
+        let is_there = |path: String| self.texts.contains_key(&path) || self.files.size(&path).is_ok();
+        let is_file = |name: &str| files::resolve(args.file, name).is_ok_and(is_there);
+        let may_be_option = args.raw(1).first().is_none_or(|&byte| byte == b'-');
+        if args.is_quoted() || args.len() < 2 || may_be_option && is_file(&args.text(0)) {
+            return Ok(());
+        }
+        let parts = args.len().min(MAX_PARTS);
+        let name = (2..=parts).rev().map(|n| args.joined(n)).find(|name| is_file(name));
+        let entity = args.entity().into_owned();
+        match name {
+            Some(name) => Err(args.fault_at(0, Fault::BlankName { entity, name, exists: true })),
+            None if may_be_option => Ok(()),
+            None => {
+                let parts = (1..parts).find(|&i| args.raw(i).starts_with(b"-")).unwrap_or(parts);
+                let name = args.joined(parts);
+                Err(args.fault_at(0, Fault::BlankName { entity, name, exists: false }))
+            }
+        }
     }
 
     /// What was open when the current file began.
@@ -66,9 +102,11 @@ impl Reader<'_> {
         self.includes += 1;
         self.included_bytes += text.len() as u64;
         if self.includes > MAX_INCLUDES {
+            self.errors.end();
             return Err(ImportError::new(by, Fault::IncludeVolume { limit: MAX_INCLUDES, unit: "files" }));
         }
         if self.included_bytes > MAX_VOLUME {
+            self.errors.end();
             return Err(ImportError::new(by, Fault::IncludeVolume { limit: MAX_VOLUME, unit: "bytes" }));
         }
         let index = self.file_index(path);
@@ -76,11 +114,11 @@ impl Reader<'_> {
         let (mut lexer, mut tokens) = (Lexer::new(&text), Vec::new());
         loop {
             match lexer.next(&mut tokens) {
-                Ok(true) => self.entity(tokens[0].text, &Args::new(path, index, &tokens))?,
+                Ok(true) => self.step(tokens[0].text, &Args::new(path, index, &tokens))?,
                 Ok(false) => break,
                 Err(long) => {
                     let at = Position { file: path.into(), line: long.line, column: 0 };
-                    return Err(ImportError::new(at, Fault::LineTooLong { limit: MAX_LINE }));
+                    self.errors.report(ImportError::new(at, Fault::LineTooLong { limit: MAX_LINE }))?;
                 }
             }
         }
@@ -95,12 +133,12 @@ impl Reader<'_> {
         if let Some(text) = self.texts.get(path) {
             return Ok(text.clone());
         }
-        let unreadable = |e: std::io::Error| Fault::Unreadable { path: path.into(), reason: e.to_string() };
-        let size = self.files.size(path).map_err(unreadable)?;
+        let files = self.files;
+        let size = files.size(path).map_err(|e| unreadable(files, path, &e))?;
         if size > MAX_TEXT {
             return Err(Fault::TextTooLarge { path: path.into(), size, limit: MAX_TEXT });
         }
-        let bytes = self.files.read(path).map_err(unreadable)?;
+        let bytes = files.read(path).map_err(|e| unreadable(files, path, &e))?;
         self.note_read(path);
         let text = Arc::new(text::decode(path, bytes)?);
         self.texts.insert(path.into(), text.clone());

@@ -1,7 +1,9 @@
 //! Lines and fields.
 //!
 //! A trailing `\` joins the next line; fields are split by blanks and keep the place where they stand, so that a fault in a
-//! joined line names the physical line. Nothing is copied: fields borrow from the text.
+//! joined line names the physical line. Nothing is copied: fields borrow from the text. A double quote at the start of a
+//! file name (the first argument of `i`, `ies` and the `map` entities) takes all up to the next quote as one field; elsewhere
+//! quotes are letters.
 
 /// Longest joined line, bytes.
 pub(super) const MAX_LINE: usize = 4096;
@@ -12,6 +14,18 @@ pub(super) struct Token<'t> {
     pub text: &'t [u8],
     pub line: u32,
     pub column: u32,
+    pub quotes: Quotes,
+}
+
+/// How a field is quoted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Quotes {
+    /// Not at all: split by blanks.
+    None,
+    /// By a pair of double quotes, which are not in the field's text.
+    Pair,
+    /// By a double quote that is not closed on its line.
+    Open,
 }
 
 /// A line that is too long; where it starts.
@@ -64,6 +78,18 @@ impl<'t> Lexer<'t> {
         let mut at = 0;
         while at < bytes.len() && bytes[at] != b'\n' {
             let start = at;
+            if let [entity] = tokens[..]
+                && bytes[at] == b'"'
+                && has_file_name(entity.text)
+            {
+                let line = bytes[at + 1..].split(|byte| matches!(byte, b'\n' | b'\r')).next().unwrap_or_default();
+                let end = line.iter().position(|&byte| byte == b'"');
+                let text = &line[..end.unwrap_or(line.len())];
+                let quotes = if end.is_some() { Quotes::Pair } else { Quotes::Open };
+                tokens.push(Token { text, line: self.line, column: start as u32 + 1, quotes });
+                at += 1 + text.len() + usize::from(end.is_some());
+                continue;
+            }
             while at < bytes.len() && !is_space(bytes[at]) {
                 at += 1;
             }
@@ -72,7 +98,12 @@ impl<'t> Lexer<'t> {
                 continue;
             }
             if at > start {
-                tokens.push(Token { text: &bytes[start..at], line: self.line, column: start as u32 + 1 });
+                tokens.push(Token {
+                    text: &bytes[start..at],
+                    line: self.line,
+                    column: start as u32 + 1,
+                    quotes: Quotes::None,
+                });
             } else {
                 at += 1;
             }
@@ -89,6 +120,11 @@ impl<'t> Lexer<'t> {
         }
         (line.len(), joined)
     }
+}
+
+/// Whether the first argument of an entity is the name of a file.
+fn has_file_name(entity: &[u8]) -> bool {
+    matches!(entity, b"i" | b"ies" | b"map_rd" | b"map_ed" | b"map_n")
 }
 
 fn is_space(byte: u8) -> bool {
@@ -114,6 +150,26 @@ mod tests {
         let expected = [vec![("f", 3, 3), ("a", 3, 5), ("b", 4, 2), ("c", 5, 1)], vec![("o", 8, 1)]];
         let got: Vec<Vec<_>> = lines.iter().map(|l| l.iter().map(|(s, a, b)| (s.as_str(), *a, *b)).collect()).collect();
         assert_eq!(got, expected);
+    }
+
+    #[test]
+    fn quotes_count_at_the_start_of_a_file_name_alone() {
+        let fields = |text: &[u8]| -> Vec<String> {
+            all(text).concat().into_iter().map(|(field, _, column)| format!("{column}:{field}")).collect()
+        };
+        for entity in ["i", "ies", "map_rd", "map_ed", "map_n"] {
+            let at = entity.len() + 2;
+            let quoted = fields(format!("{entity} \"my  lamp.ies\" -t").as_bytes());
+            assert_eq!(quoted, [format!("1:{entity}"), format!("{at}:my  lamp.ies"), format!("{}:-t", at + 15)]);
+            let inside = fields(format!("{entity} my\"lamp \"x y\"").as_bytes());
+            assert_eq!(inside.len(), 4, "{inside:?}");
+        }
+        for entity in ["m", "c", "v", "o", "camera", "xf", "f"] {
+            let fields = fields(format!("{entity} \"we ird\"").as_bytes());
+            assert_eq!(fields[1..], [format!("{}:\"we", entity.len() + 2), format!("{}:ird\"", entity.len() + 6)]);
+        }
+        // A quote ends with its line, whatever the line's end; a `\\` within quotes joins nothing.
+        assert_eq!(fields(b"i \"a b\r\ni \"c\\\"\n"), ["1:i", "3:a b", "1:i", "3:c\\"]);
     }
 
     #[test]

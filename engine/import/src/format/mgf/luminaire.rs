@@ -15,7 +15,7 @@ use femc_scene::{Luminaire, PhotometryId};
 impl Reader<'_> {
     pub(super) fn ies(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1.., "path [-m factor] [transform arguments]")?;
-        let path = self.resolve(args, 0)?;
+        let path = self.resolve(args)?;
         let (photometry, tilt) = self.photometry(args, &path)?;
         let (multiplier, first) = match args.raw(1) {
             b"-m" if args.len() > 2 => (args.number_in(2, "multiplier", ">= 0", |m| m >= 0.0)?, 3),
@@ -46,7 +46,7 @@ impl Reader<'_> {
         tilt: Option<&Tilt>,
     ) -> Result<()> {
         let fault = Fault::Shape { what: "the current color is black", advice: "choose a color before `ies`" };
-        let color = spectrum::normalized(self.colors.current().rgb).ok_or_else(|| args.fault(fault))?;
+        let color = spectrum::normalized(self.used_color().rgb).ok_or_else(|| args.fault(fault))?;
         let multiplier = multiplier * tilt.map_or(1.0, |tilt| self.tilt_factor(args, tilt));
         if !multiplier.is_finite() {
             return Err(args.fault(Fault::NotFinite { what: "multiplier" }));

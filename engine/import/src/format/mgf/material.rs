@@ -38,7 +38,7 @@ fn returned(tinted: &Tinted) -> f64 {
 impl Reader<'_> {
     pub(super) fn m(&mut self, args: &Args<'_>) -> Result<()> {
         self.seal_material();
-        let opened = self.materials.select(args)?;
+        let opened = self.materials.select(args, &mut self.errors)?;
         if opened != Opened::Again {
             let state = self.materials.current_mut();
             state.material.location = args.location();
@@ -124,7 +124,7 @@ impl Reader<'_> {
         let unit = |i, what| args.number_in(i, what, "in [0, 1]", |x| (0.0..=1.0).contains(&x));
         let amount = unit(0, "reflectance or transmittance")?;
         let alpha = if specular { unit(1, "roughness")? } else { 0.0 };
-        let tinted = self.colors.current().tint(amount);
+        let tinted = self.used_color().tint(amount);
         let material = self.change_material();
         match entity {
             b"rd" => material.rd = tinted,
@@ -147,7 +147,7 @@ impl Reader<'_> {
     pub(super) fn ed(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1..=1, "an emittance in lm/m2")?;
         let emittance = args.number_in(0, "emittance (lm/m2)", ">= 0", |x| x >= 0.0)?;
-        let tinted = self.colors.current().tint(emittance);
+        let tinted = self.used_color().tint(emittance);
         self.change_material().ed = tinted;
         Ok(())
     }

@@ -43,7 +43,7 @@ impl Reader<'_> {
         args.count(1..=3, "NAME [= [TEMPLATE]]")?;
         self.seal_medium()?;
         (self.medium_colored, self.absorption_colored) = (false, false);
-        if self.media.select(args)? != Opened::Again {
+        if self.media.select(args, &mut self.errors)? != Opened::Again {
             let state = self.media.current_mut();
             state.medium.name = args.text(0).into_owned();
             state.medium.location = args.location();
@@ -77,7 +77,7 @@ impl Reader<'_> {
             }
             b"glow" => {
                 medium.glow = coefficient("emission (lm/m3)")?;
-                medium.glow_color = color.rgb;
+                medium.glow_color = if self.medium_colored { self.used_color().rgb } else { color.rgb };
             }
             b"phase" => medium.phase = phase(args)?,
             _ => medium.density = density(args)?,
@@ -100,7 +100,8 @@ impl Reader<'_> {
     /// The entry of the medium that argument `i` names, as it stands.
     pub(super) fn medium_named(&mut self, args: &Args<'_>, i: usize) -> Result<MediumId> {
         self.seal_medium()?;
-        let state = self.media.get(self.media.index(args, i)?);
+        let slot = self.media.index(args, i, &mut self.errors)?;
+        let state = self.media.get(slot);
         // Only the current medium can be without an entry, and it was just given one.
         match state.entry {
             Some(entry) => Ok(entry),

@@ -17,6 +17,7 @@ mod medium;
 mod object;
 mod polygon;
 mod reader;
+mod recovery;
 mod spectrum;
 mod stack;
 mod surface;

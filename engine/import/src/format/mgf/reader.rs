@@ -8,12 +8,13 @@ use super::{
     material::MaterialState,
     medium::MediumState,
     polygon::Triangulator,
+    recovery::Errors,
     stack::Frame,
     table::Table,
     vertex::VertexState,
 };
 use crate::{
-    Files, ImportError, Kind, Loaded, Oddity, Position,
+    Files, ImportError, ImportErrors, Kind, Loaded, Oddity, Position, Warning,
     format::ies::{Remark, Tilt},
     image::Role,
     warning::Warnings,
@@ -35,6 +36,7 @@ pub(super) struct Reader<'f> {
     pub scene: Scene,
     pub warnings: Warnings,
     pub notes: Warnings,
+    pub errors: Errors,
     /// Every file read.
     pub read: Vec<String>,
     pub texts: HashMap<String, Arc<Vec<u8>>>,
@@ -50,6 +52,8 @@ pub(super) struct Reader<'f> {
     pub outside: HashSet<String>,
 
     pub colors: Table<Color>,
+    /// Places of clipped colors that were used.
+    pub clipped_colors: HashSet<Location>,
     pub materials: Table<MaterialState>,
     /// Entries of the scene by name, newest last.
     pub material_entries: HashMap<String, Vec<MaterialId>>,
@@ -67,8 +71,12 @@ pub(super) struct Reader<'f> {
     /// Textured materials that were found on surfaces without texture coordinates.
     pub without_uv: HashSet<MaterialId>,
     pub images: HashMap<(String, Role), ImageId>,
+    /// Images that are factors on reflectances.
+    pub reflectance_maps: HashSet<ImageId>,
     pub paths: BTreeMap<String, PathId>,
     pub path: Option<PathId>,
+    /// Paths whose definition failed.
+    pub faulty_paths: HashSet<PathId>,
 
     pub objects: Vec<(ObjectId, Position)>,
     pub object_ids: HashMap<String, ObjectId>,
@@ -85,25 +93,24 @@ pub(super) struct Reader<'f> {
     pub triangulator: Triangulator,
 }
 
-/// Imports `entry` of `files`.
-pub(crate) fn load(files: &dyn Files, entry: &str) -> Result<Loaded> {
-    let mut reader = Reader::new(files);
-    let path = crate::files::resolve("", entry)
-        .map_err(|fault| ImportError::new(Position { file: entry.to_owned(), line: 0, column: 0 }, fault))?;
-    let (folder, file) = path.split_at(path.rfind('/').map_or(0, |slash| slash + 1));
-    reader.folder = folder.to_owned();
-    reader.scene.name = file.rsplit_once('.').map_or(file, |(stem, _)| stem).to_owned();
-    reader.run(&path, Position { file: path.clone(), line: 0, column: 0 })?;
-    reader.finish()
+/// Imports `entry` of `files`; ends with the error number `limit`.
+pub(crate) fn load(files: &dyn Files, entry: &str, limit: usize) -> std::result::Result<Loaded, ImportErrors> {
+    let mut reader = Reader::new(files, limit);
+    let notes = reader.read(entry);
+    let notes = notes.or_else(|error| reader.errors.report(error).map(|()| Vec::new())).unwrap_or_default();
+    let Reader { scene, warnings, read, errors, .. } = reader;
+    errors.finish(&scene.files)?;
+    Ok(Loaded { scene, warnings: warnings.0, notes, files: read })
 }
 
 impl<'f> Reader<'f> {
-    fn new(files: &'f dyn Files) -> Self {
+    fn new(files: &'f dyn Files, limit: usize) -> Self {
         Self {
             files,
             scene: Scene { groups: vec![Group::default()], ..Scene::default() },
             warnings: Warnings::default(),
             notes: Warnings::default(),
+            errors: Errors::new(limit),
             read: Vec::new(),
             texts: HashMap::new(),
             file_indices: HashMap::new(),
@@ -113,6 +120,7 @@ impl<'f> Reader<'f> {
             unknown: HashSet::new(),
             folder: String::new(),
             outside: HashSet::new(),
+            clipped_colors: HashSet::new(),
             colors: Table::new(Kind::Color, Color::default()),
             materials: Table::new(Kind::Material, MaterialState::default()),
             material_entries: HashMap::new(),
@@ -124,8 +132,10 @@ impl<'f> Reader<'f> {
             normalized: HashMap::new(),
             without_uv: HashSet::new(),
             images: HashMap::new(),
+            reflectance_maps: HashSet::new(),
             paths: BTreeMap::new(),
             path: None,
+            faulty_paths: HashSet::new(),
             objects: Vec::new(),
             object_ids: HashMap::new(),
             frames: vec![Frame::world()],
@@ -143,7 +153,7 @@ impl<'f> Reader<'f> {
     /// One entity.
     pub(super) fn entity(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         match entity {
-            b"v" => self.vertices.select(args).map(|_| ()),
+            b"v" => self.vertices.select(args, &mut self.errors).map(|_| ()),
             b"p" => self.p(args),
             b"n" => self.n(args),
             b"uv" => self.uv(args),
@@ -151,7 +161,7 @@ impl<'f> Reader<'f> {
             b"fh" => self.fh(args),
             b"c" => {
                 self.note_color();
-                self.colors.select(args).map(|_| ())
+                self.colors.select(args, &mut self.errors).map(|_| ())
             }
             b"cxy" => self.cxy(args),
             b"cspec" => self.cspec(args),
@@ -198,14 +208,20 @@ impl<'f> Reader<'f> {
         }
     }
 
-    fn finish(mut self) -> Result<Loaded> {
+    /// Reads the scene; returns what is worth a note.
+    fn read(&mut self, entry: &str) -> Result<Vec<Warning>> {
+        let path = crate::files::resolve("", entry)
+            .map_err(|fault| ImportError::new(Position { file: entry.to_owned(), line: 0, column: 0 }, fault))?;
+        let (folder, file) = path.split_at(path.rfind('/').map_or(0, |slash| slash + 1));
+        self.folder = folder.to_owned();
+        self.scene.name = file.rsplit_once('.').map_or(file, |(stem, _)| stem).to_owned();
+        self.run(&path, Position { file: path.clone(), line: 0, column: 0 })?;
         self.seal_material();
         self.seal_medium()?;
         self.finish_cameras()?;
         self.finish_paths()?;
         let camera = self.add_default_camera();
-        let notes = camera.into_iter().chain(self.notes.0).collect();
-        Ok(Loaded { scene: self.scene, warnings: self.warnings.0, notes, files: self.read })
+        Ok(camera.into_iter().chain(std::mem::take(&mut self.notes.0)).collect())
     }
 
     /// Warns at the entity.

@@ -63,11 +63,26 @@ const FIRST: f64 = 380.0;
 const LAST: f64 = 780.0;
 const STEP: f64 = 10.0;
 
-/// A colour of luminance 1, and whether it had to be clipped into Rec.709.
+/// A color of luminance 1, and whether it had to be clipped into Rec.709.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Gamut {
+    /// Without negative components.
     pub rgb: [f64; 3],
+    /// Before clipping; equal to `rgb` unless it was clipped, or where it has no positive luminance.
+    pub wide: [f64; 3],
     pub clipped: bool,
+}
+
+impl Gamut {
+    /// The linear Rec.709 color `raw` at luminance 1; negative components are clipped to 0. `None` for black.
+    pub fn new(raw: [f64; 3]) -> Option<Self> {
+        // Rounding leaves a primary's other components a hair off 0: that is no clipping.
+        let clipped = raw.iter().any(|&x| x < -1e-6 * luminance(raw).max(0.0));
+        let rgb = normalized(raw.map(|x| x.max(0.0)))?;
+        // Chromaticities far below the line of purples have no positive luminance once they are adapted to the white point.
+        let wide = if clipped { normalized(raw).unwrap_or(rgb) } else { rgb };
+        Some(Self { rgb, wide, clipped })
+    }
 }
 
 /// Rec.709 luminance.
@@ -90,10 +105,7 @@ pub(super) fn from_xy(x: f64, y: f64) -> Option<Gamut> {
 }
 
 fn from_xyz(xyz: [f64; 3]) -> Option<Gamut> {
-    let raw = XYZ_TO_RGB.map(|row| row[0] * xyz[0] + row[1] * xyz[1] + row[2] * xyz[2]);
-    // Rounding leaves a primary's other components a hair off 0: that is no clipping.
-    let clipped = raw.iter().any(|&x| x < -1e-6);
-    normalized(raw.map(|x| x.max(0.0))).map(|rgb| Gamut { rgb, clipped })
+    Gamut::new(XYZ_TO_RGB.map(|row| row[0] * xyz[0] + row[1] * xyz[1] + row[2] * xyz[2]))
 }
 
 /// The chromaticity nearest to `[x, y]` that light can have: inside the spectral locus and the line of purples, or on them.

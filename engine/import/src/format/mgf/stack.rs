@@ -50,6 +50,11 @@ struct Opened {
 }
 
 impl Frame {
+    /// The transform of `outer` once more, opened at `at`.
+    pub fn like(outer: &Self, at: Position) -> Self {
+        Self { opened: None, at, ..*outer }
+    }
+
     /// The world's.
     pub fn world() -> Self {
         Self {
@@ -144,6 +149,7 @@ impl Reader<'_> {
             let steps = (layer.before.len() + layer.after.len() + 1) as u64 + layer.body.len() as u64 * stored / 2;
             self.stored = self.stored.saturating_add(stored.saturating_mul(steps));
             if self.stored > MAX_STORED {
+                self.errors.end();
                 let fault = Fault::TooMany { what: "instances (nest arrays in arrays)", limit: MAX_STORED };
                 return Err(ImportError::new(at, fault));
             }
@@ -182,6 +188,7 @@ impl Reader<'_> {
         let count = &mut self.counts[group.index()];
         *count = count.saturating_add(n);
         if *count > MAX_PRIMITIVES {
+            self.errors.end();
             return Err(Fault::TooManyPrimitives { count: *count, limit: MAX_PRIMITIVES });
         }
         Ok(())

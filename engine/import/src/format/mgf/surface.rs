@@ -207,12 +207,13 @@ impl Reader<'_> {
         Ok((radius.abs() * self.frame().scale, facing))
     }
 
-    fn transformed_vertex(&self, args: &Args<'_>, i: usize) -> Result<Vertex> {
-        self.transformed(args, self.vertex(args, i)?)
+    fn transformed_vertex(&mut self, args: &Args<'_>, i: usize) -> Result<Vertex> {
+        let vertex = self.vertex(args, i)?;
+        self.transformed(args, vertex)
     }
 
     /// Position and normal of the first argument's vertex.
-    fn oriented_vertex(&self, args: &Args<'_>) -> Result<(DVec3, DVec3)> {
+    fn oriented_vertex(&mut self, args: &Args<'_>) -> Result<(DVec3, DVec3)> {
         let vertex = self.transformed_vertex(args, 0)?;
         let fault =
             Fault::Shape { what: "this vertex has no normal to orient the shape", advice: "give it one by `n x y z`" };

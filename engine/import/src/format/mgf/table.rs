@@ -1,8 +1,11 @@
 //! Named contexts: the `id = template` rule of MGF, the same for all kinds.
 
-use super::args::{Args, Result};
+use super::{
+    args::{Args, Result},
+    recovery::Errors,
+};
 use crate::{Fault, Kind};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 /// What one context line did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,56 +24,98 @@ pub(super) struct Table<T> {
     default: T,
     slots: Vec<T>,
     names: HashMap<String, u32>,
+    /// Slots whose definition failed.
+    faulty: HashSet<u32>,
     current: u32,
 }
 
 impl<T: Clone> Table<T> {
     pub fn new(kind: Kind, default: T) -> Self {
-        Self { kind, slots: vec![default.clone()], default, names: HashMap::new(), current: 0 }
+        Self { kind, slots: vec![default.clone()], default, names: HashMap::new(), faulty: HashSet::new(), current: 0 }
     }
 
     /// Handles `[id [= [template]]]`.
-    pub fn select(&mut self, args: &Args<'_>) -> Result<Opened> {
+    pub fn select(&mut self, args: &Args<'_>, errors: &mut Errors) -> Result<Opened> {
         args.count(..=3, "[NAME [= [TEMPLATE]]]")?;
         if args.len() == 0 {
             self.slots[0] = self.default.clone();
+            self.faulty.remove(&0);
             self.current = 0;
             return Ok(Opened::Unnamed);
         }
         if args.len() == 1 {
-            self.current = self.index(args, 0)?;
+            self.current = self.index(args, 0, errors)?;
             return Ok(Opened::Again);
         }
         if args.raw(1) != b"=" {
             return Err(args.fault_at(1, Fault::Unexpected { found: args.text(1).into_owned(), expected: "`=`" }));
         }
-        let value = match args.len() {
-            2 => self.default.clone(),
-            _ => self.slots[self.index(args, 2)? as usize].clone(),
-        };
-        let name = args.text(0);
-        self.current = match self.names.get(&*name) {
-            Some(&index) => {
-                self.slots[index as usize] = value;
-                index
-            }
-            None => {
-                let index = self.slots.len() as u32;
-                self.slots.push(value);
-                self.names.insert(name.into_owned(), index);
-                index
+        let (value, faulty) = match args.len() {
+            2 => (self.default.clone(), false),
+            _ => {
+                let template = self.index(args, 2, errors)?;
+                (self.slots[template as usize].clone(), self.faulty.contains(&template))
             }
         };
+        self.current = self.put(&args.text(0), value);
+        if faulty {
+            self.faulty.insert(self.current);
+        } else {
+            self.faulty.remove(&self.current);
+        }
         Ok(Opened::New)
     }
 
-    /// The slot that argument `i` names.
-    pub fn index(&self, args: &Args<'_>, i: usize) -> Result<u32> {
+    /// Gives the slot of `name` a value; makes it where there is none.
+    fn put(&mut self, name: &str, value: T) -> u32 {
+        if let Some(&index) = self.names.get(name) {
+            self.slots[index as usize] = value;
+            return index;
+        }
+        let index = self.slots.len() as u32;
+        self.slots.push(value);
+        self.names.insert(name.to_owned(), index);
+        index
+    }
+
+    /// The slot that argument `i` names. A name that stands for nothing is reported, and defined as faulty.
+    pub fn index(&mut self, args: &Args<'_>, i: usize, errors: &mut Errors) -> Result<u32> {
         let name = args.text(i);
-        self.names.get(&*name).copied().ok_or_else(|| {
-            let nearest = nearest(&name, self.names.keys());
-            args.fault_at(i, Fault::Undefined { kind: self.kind, name: name.into_owned(), nearest })
-        })
+        if let Some(&index) = self.names.get(&*name) {
+            if self.faulty.contains(&index) {
+                errors.taint();
+            }
+            return Ok(index);
+        }
+        errors.report_undefined((args.argument_at(i), self.kind, &name), || {
+            let sound = self.names.iter().filter(|(_, slot)| !self.faulty.contains(slot));
+            nearest(&name, sound.map(|(name, _)| name))
+        })?;
+        let index = self.put(&name, self.default.clone());
+        self.faulty.insert(index);
+        Ok(index)
+    }
+
+    /// Makes a context the current one whose definition failed.
+    pub fn lose(&mut self, name: Option<&str>) {
+        self.current = match name {
+            Some(name) => self.put(name, self.default.clone()),
+            None => {
+                self.slots.push(self.default.clone());
+                self.slots.len() as u32 - 1
+            }
+        };
+        self.spoil();
+    }
+
+    /// Marks the current context as faulty.
+    pub fn spoil(&mut self) {
+        self.faulty.insert(self.current);
+    }
+
+    /// Whether the current context is faulty.
+    pub fn is_faulty(&self) -> bool {
+        self.faulty.contains(&self.current)
     }
 
     /// Whether a named context is current.
@@ -97,6 +142,12 @@ impl<T: Clone> Table<T> {
     /// The named contexts in order of first definition.
     pub fn named(&self) -> impl Iterator<Item = &T> {
         self.slots.iter().skip(1)
+    }
+
+    /// The named contexts whose definition did not fail.
+    pub fn sound(&self) -> impl Iterator<Item = &T> {
+        let named = self.slots.iter().enumerate().skip(1);
+        named.filter(|(i, _)| !self.faulty.contains(&(*i as u32))).map(|(_, value)| value)
     }
 
     pub fn defined(&self, name: &str) -> Option<u32> {

@@ -2,6 +2,7 @@
 
 use super::{
     args::{Args, Result},
+    include::unreadable,
     reader::Reader,
 };
 use crate::{
@@ -15,10 +16,15 @@ const MAX_FILE: u64 = 1 << 31;
 
 impl Reader<'_> {
     pub(super) fn map(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
-        args.count(1..=1, "the path of a PNG, JPEG or EXR file")?;
+        args.count(1.., "the path of a PNG, JPEG or EXR file")?;
         let role = if entity == b"map_n" { Role::Normals } else { Role::Color };
-        let path = self.resolve(args, 0)?;
-        let image = Some(self.image(args, &path, role)?);
+        let path = self.resolve(args)?;
+        args.count(1..=1, "the path of a PNG, JPEG or EXR file")?;
+        let id = self.image(args, &path, role)?;
+        if entity == b"map_rd" {
+            self.check_factors(args, id);
+        }
+        let image = Some(id);
         let material = self.change_material();
         match entity {
             b"map_rd" => material.map_rd = image,
@@ -34,23 +40,46 @@ impl Reader<'_> {
         if let Some(&id) = self.images.get(&key) {
             return Ok(id);
         }
-        let unreadable = |e: std::io::Error| Fault::Unreadable { path: path.into(), reason: e.to_string() };
-        let size = self.files.size(path).map_err(|e| args.fault_at(0, unreadable(e)))?;
+        let files = self.files;
+        let unreadable = |e: std::io::Error| args.fault_at(0, unreadable(files, path, &e));
+        let size = files.size(path).map_err(unreadable)?;
         if size > MAX_FILE {
             let reason = format!("it has {size} bytes, an image file may have {MAX_FILE}");
             let advice = "make it smaller";
             return Err(args.fault_at(0, Fault::BadFile { path: path.into(), reason, advice }));
         }
-        let bytes = self.files.read(path).map_err(|e| args.fault_at(0, unreadable(e)))?;
+        let bytes = files.read(path).map_err(unreadable)?;
         self.note_read(path);
         let used: u64 = self.scene.images.iter().map(|image| image::memory(image.width, image.height)).sum();
         let decoded = image::decode(path, &bytes, role, used).map_err(|fault| args.fault_at(0, fault))?;
-        if decoded.negative {
-            self.warn(args, Oddity::Texture { what: "image has negative values: taken as 0" });
+        for what in decoded.remarks {
+            self.texture_remark(args, path, what);
         }
         let id = ImageId(self.scene.images.len() as u32);
         self.scene.images.push(decoded.image);
         self.images.insert(key, id);
         Ok(id)
+    }
+
+    /// Says something of an image file, once.
+    fn texture_remark(&mut self, args: &Args<'_>, path: &str, what: String) {
+        let oddity = Oddity::Texture { path: path.to_owned(), what };
+        if !self.warnings.0.iter().any(|known| known.oddity == oddity) {
+            self.warn(args, oddity);
+        }
+    }
+
+    /// Says that factors on a reflectance are above 1.
+    fn check_factors(&mut self, args: &Args<'_>, id: ImageId) {
+        if !self.reflectance_maps.insert(id) {
+            return;
+        }
+        let image = &self.scene.images[id.index()];
+        let most = image.pixels.iter().flatten().copied().fold(0.0, f32::max);
+        if most > 1.0 {
+            let path = image.path.clone();
+            let what = format!("texture has values above 1 (up to {most}): a reflectance factor above 1 is cut to 1");
+            self.texture_remark(args, &path, what);
+        }
     }
 }

@@ -50,8 +50,9 @@ impl Reader<'_> {
     }
 
     /// The vertex that argument `i` names, in its own coordinates.
-    pub(super) fn vertex(&self, args: &Args<'_>, i: usize) -> Result<Vertex> {
-        Ok(self.vertices.get(self.vertices.index(args, i)?).vertex)
+    pub(super) fn vertex(&mut self, args: &Args<'_>, i: usize) -> Result<Vertex> {
+        let slot = self.vertices.index(args, i, &mut self.errors)?;
+        Ok(self.vertices.get(slot).vertex)
     }
 
     /// `vertex` in the group's frame.
@@ -72,15 +73,17 @@ impl Reader<'_> {
     pub(super) fn add_vertex(&mut self, args: &Args<'_>, vertex: Vertex) -> Result<u32> {
         let vertices = &mut self.scene.groups[self.group.index()].vertices;
         let limit = u64::from(u32::MAX - 1);
-        let fault = || args.fault(Fault::TooMany { what: "vertices in one group", limit });
-        let index = u32::try_from(vertices.len()).ok().filter(|&n| u64::from(n) < limit).ok_or_else(fault)?;
+        let Some(index) = u32::try_from(vertices.len()).ok().filter(|&n| u64::from(n) < limit) else {
+            self.errors.end();
+            return Err(args.fault(Fault::TooMany { what: "vertices in one group", limit }));
+        };
         vertices.push(vertex);
         Ok(index)
     }
 
     /// The index in the group of the vertex that argument `i` names, under the transform in force.
     pub(super) fn placed_vertex(&mut self, args: &Args<'_>, i: usize) -> Result<u32> {
-        let slot = self.vertices.index(args, i)?;
+        let slot = self.vertices.index(args, i, &mut self.errors)?;
         let state = *self.vertices.get(slot);
         let frame = self.frame().id;
         if let Some((id, group, index)) = state.placed

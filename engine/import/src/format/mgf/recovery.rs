@@ -1,0 +1,187 @@
+//! Reading on after a fault, so that one import lists all errors of a scene.
+//!
+//! A faulty entity is skipped. What it should have defined counts as defined, and as faulty: an entity that uses it has no
+//! further errors, as these may follow from the first. A limit of one error gives an import that ends at its first fault.
+
+use super::{
+    args::{Args, Result},
+    reader::Reader,
+    stack::Frame,
+};
+use crate::{Fault, ImportError, ImportErrors, Kind, Position};
+use femc_scene::{Interpolation, Location, MotionPath, Object, ObjectId, PathId};
+use std::collections::HashSet;
+
+/// The errors of an import so far.
+#[derive(Debug)]
+pub(super) struct Errors {
+    /// In order of reading, each once.
+    list: Vec<ImportError>,
+    /// Number of errors that ends the import, >= 1.
+    limit: usize,
+    /// Whether the current entity uses something faulty: its further errors are dropped.
+    tainted: bool,
+    /// Whether a limit that bounds memory was exceeded: nothing is read after it.
+    ended: bool,
+    /// Whether an include was skipped, so that any name may be defined in it.
+    lost_include: bool,
+    /// Files that cannot be used.
+    failed: HashSet<String>,
+}
+
+impl Errors {
+    /// No errors; the import ends with the error number `limit`.
+    pub fn new(limit: usize) -> Self {
+        let (list, failed) = (Vec::new(), HashSet::new());
+        Self { list, limit: limit.max(1), tainted: false, ended: false, lost_include: false, failed }
+    }
+
+    /// Keeps an error; fails with it if it is the last one that is wanted.
+    pub fn report(&mut self, error: ImportError) -> Result<()> {
+        self.tainted = true;
+        let again =
+            |known: &ImportError| known.fault == error.fault && (known.at == error.at || known.fault.file().is_some());
+        if !self.follows(&error.fault) && self.list.len() < self.limit && !self.list.iter().any(again) {
+            self.list.push(error.clone());
+        }
+        if self.is_over() { Err(error) } else { Ok(()) }
+    }
+
+    /// Reports that `name` is undefined; `nearest` gives the names near to it.
+    pub fn report_undefined(
+        &mut self,
+        (at, kind, name): (Position, Kind, &str),
+        nearest: impl FnOnce() -> Vec<String>,
+    ) -> Result<()> {
+        // Of a skipped include a scene may use any number of names: no search for each of them.
+        let nearest = if self.lost_include { Vec::new() } else { nearest() };
+        self.report(ImportError::new(at, Fault::Undefined { kind, name: name.to_owned(), nearest }))
+    }
+
+    /// Whether an error may follow from an include that was skipped.
+    fn follows(&self, fault: &Fault) -> bool {
+        self.lost_include && matches!(fault, Fault::Undefined { .. } | Fault::NoContext { .. })
+    }
+
+    /// Drops further errors of the current entity.
+    pub fn taint(&mut self) {
+        self.tainted = true;
+    }
+
+    /// Ends the import with the next error.
+    pub fn end(&mut self) {
+        self.ended = true;
+    }
+
+    fn is_over(&self) -> bool {
+        self.ended || self.list.len() >= self.limit
+    }
+
+    /// Whether `path` was read in vain before.
+    pub fn has_failed(&self, path: &str) -> bool {
+        self.failed.contains(path)
+    }
+
+    /// The errors in order of place, if there are any. `files` are the source files in order of first use.
+    pub fn finish(self, files: &[String]) -> std::result::Result<(), ImportErrors> {
+        let mut errors = self.list;
+        let complete = !(self.ended || errors.len() >= self.limit);
+        let file = |at: &Position| files.iter().position(|file| *file == at.file).unwrap_or(usize::MAX);
+        errors.sort_by_key(|error| (file(&error.at), error.at.line, error.at.column));
+        if errors.is_empty() { Ok(()) } else { Err(ImportErrors { errors, complete }) }
+    }
+}
+
+impl Reader<'_> {
+    /// One entity of a file. Fails only where the import ends.
+    pub(super) fn step(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
+        let outer = std::mem::replace(&mut self.errors.tainted, false);
+        let open = (self.frames.len(), self.objects.len());
+        let outcome = match self.entity(entity, args) {
+            Err(error) => self.recover(error, entity, args, open),
+            Ok(()) => Ok(()),
+        };
+        if self.errors.tainted && entity != b"i" {
+            self.spoil(entity);
+        }
+        self.errors.tainted = outer;
+        outcome
+    }
+
+    /// Makes good for an entity that failed: `open` are the transforms and objects that were open before it.
+    fn recover(&mut self, error: ImportError, entity: &[u8], args: &Args<'_>, open: (usize, usize)) -> Result<()> {
+        let fault = error.fault.clone();
+        if !self.errors.tainted || self.errors.is_over() {
+            self.errors.report(error)?;
+        }
+        let (frames, objects) = open;
+        if let Some(path) = fault.file() {
+            self.errors.failed.insert(path.to_owned());
+        }
+        match (*fault, entity) {
+            (Fault::Undefined { kind: Kind::Path, name, .. }, _) => self.lose_path(&name, args.location()),
+            (Fault::NoContext { kind, .. }, _) => match kind {
+                Kind::Camera => self.cameras.lose(None),
+                Kind::Medium => self.media.lose(None),
+                _ => {
+                    self.lose_path("", args.location());
+                    self.path = self.paths.get("").copied();
+                }
+            },
+            _ => {}
+        }
+        let name = (args.len() > 0).then(|| args.text(0));
+        match entity {
+            b"v" => self.vertices.lose(name.as_deref()),
+            b"c" => self.colors.lose(name.as_deref()),
+            b"m" => self.materials.lose(name.as_deref()),
+            b"camera" => self.cameras.lose(name.as_deref()),
+            b"medium" => self.media.lose(name.as_deref()),
+            b"path" => {
+                let name = name.unwrap_or_default();
+                if !self.paths.contains_key(&*name) {
+                    self.lose_path(&name, args.location());
+                }
+                self.path = self.paths.get(&*name).copied();
+            }
+            b"i" => self.errors.lost_include = true,
+            b"xf" if args.len() > 0 && self.frames.len() == frames => {
+                let frame = Frame::like(self.frame(), args.at());
+                self.frames.push(frame);
+                return Ok(());
+            }
+            b"o" if args.len() > 0 && self.objects.len() == objects => {
+                let id = ObjectId(self.scene.objects.len() as u32);
+                self.scene.objects.push(Object { name: String::new(), parent: None, hidden: false });
+                self.objects.push((id, args.at()));
+            }
+            _ => {}
+        }
+        // Transforms of `i` and `ies` themselves.
+        while self.frames.len() > frames {
+            // A limit that is exceeded here ends the import with the next error.
+            let _ = self.pop_frame();
+        }
+        Ok(())
+    }
+
+    /// Marks the context that a failed entity should have changed.
+    fn spoil(&mut self, entity: &[u8]) {
+        match entity {
+            b"p" | b"n" | b"uv" => self.vertices.spoil(),
+            b"cxy" | b"cspec" | b"cct" | b"cmix" | b"crgb" => self.colors.spoil(),
+            b"origin" | b"target" | b"up" | b"fov" | b"film" | b"lens" | b"shutter" | b"along" => self.cameras.spoil(),
+            b"key" => self.faulty_paths.extend(self.path),
+            _ => {}
+        }
+    }
+
+    /// Defines the path `name`, without keys.
+    fn lose_path(&mut self, name: &str, location: Location) {
+        let id = PathId(self.scene.paths.len() as u32);
+        let (name, interpolation) = (name.to_owned(), Interpolation::Linear);
+        self.scene.paths.push(MotionPath { name: name.clone(), location, interpolation, keys: vec![] });
+        self.paths.insert(name, id);
+        self.faulty_paths.insert(id);
+    }
+}

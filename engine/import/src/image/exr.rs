@@ -1,0 +1,267 @@
+//! EXR: which channels are the colors, and where they are in the picture.
+
+use super::{
+    Opened, Role, Source,
+    primaries::{Chromaticities, Matrix},
+    printable,
+};
+use crate::Fault;
+use exr::{
+    compression::Compression,
+    meta::{MetaData, header::Header},
+    prelude::{self as exr_prelude, ReadChannels, ReadLayers, ReadSpecificChannel},
+};
+use std::io::Cursor;
+
+/// Pixels of a picture that need no data, and how often larger than its data a larger picture may be: a file of a few bytes
+/// must not fill the memory with black.
+const FREE_AREA: usize = 1 << 22;
+const MOST_EMPTY: usize = 64;
+/// Channels that a remark names.
+const NAMED: usize = 8;
+
+/// The channels of the colors.
+#[derive(Clone, Debug, PartialEq)]
+struct Picked {
+    /// Red, green and blue; three times the gray one.
+    names: [String; 3],
+    alpha: String,
+    /// The layer, if the colors are of one.
+    layer: Option<String>,
+}
+
+pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
+    let bytes = source.bytes;
+    if bytes.get(5).is_some_and(|flags| flags & 0x08 != 0) {
+        return Err(source.advised("it holds deep data", "flatten it to one color for each pixel"));
+    }
+    let meta =
+        MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|error| source.bad(error.to_string()))?;
+    for header in &meta.headers {
+        source.check_size(header.layer_size.width(), header.layer_size.height())?;
+        if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
+            return Err(source.bad("it is compressed with DWA, which other processors decode to other values"));
+        }
+        if header.channels.list.iter().any(|channel| channel.sampling != exr_prelude::Vec2(1, 1)) {
+            let names = channel_names(header);
+            let names = listed(names.iter().map(String::as_str));
+            let reason = format!("its channels {names} have fewer values than pixels (luminance and chroma)");
+            return Err(source.advised(reason, "save it again with the channels R G B"));
+        }
+    }
+    let parts: Vec<Vec<String>> = meta.headers.iter().map(channel_names).collect();
+    let (part, picked) = pick(&parts, source.role).ok_or_else(|| {
+        let names = listed(parts.iter().flatten().map(String::as_str));
+        let wanted = match source.role {
+            Role::Color => "R G B, or Y for gray, without a layer (`R`, `.R`) or in a single one (`NAME.R`)",
+            Role::Normals => "R G B, without a layer (`R`, `.R`) or in a single one (`NAME.R`)",
+        };
+        source.advised(format!("it has the channels {names}; wanted are {wanted}"), "save it again with such channels")
+    })?;
+    let header = &meta.headers[part];
+    let mut remarks = Vec::new();
+    let (data, is_opaque) = read(source, &picked)?;
+    if !is_opaque {
+        remarks.push("alpha is not used: colors stay multiplied with it".to_owned());
+    }
+    remarks.extend(unused(header, &meta.headers, &picked));
+    let to_rec709 = primaries(header, source.role, &picked, &mut remarks);
+    let (width, height, pixels) = placed(source, header, data, &mut remarks)?;
+    Ok(Opened { width, height, pixels, to_rec709, remarks })
+}
+
+fn channel_names(header: &Header) -> Vec<String> {
+    header.channels.list.iter().map(|channel| channel.name.to_string()).collect()
+}
+
+/// Up to a few names of channels, and how many more there are.
+fn listed<'n>(names: impl Iterator<Item = &'n str> + Clone) -> String {
+    let shown: Vec<String> = names.clone().take(NAMED).map(|name| format!("`{}`", printable(name))).collect();
+    let more = names.count().saturating_sub(NAMED);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{}{more}", shown.join(", "))
+}
+
+/// The part and the channels to read: plain ones, ones that begin with a dot, or those of the file's only layer with colors.
+fn pick(parts: &[Vec<String>], role: Role) -> Option<(usize, Picked)> {
+    for prefix in ["", "."] {
+        let found = parts.iter().enumerate().find_map(|(i, names)| Some((i, pick_in(names, prefix, role)?)));
+        if found.is_some() {
+            return found;
+        }
+    }
+    let mut found: Vec<(usize, Picked)> = Vec::new();
+    for (i, names) in parts.iter().enumerate() {
+        let layers: std::collections::BTreeSet<&str> =
+            names.iter().filter_map(|name| name.rfind('.').map(|dot| &name[..=dot])).collect();
+        for prefix in layers.into_iter().filter(|prefix| *prefix != ".") {
+            let layer = Some(prefix[..prefix.len() - 1].to_owned());
+            found.extend(pick_in(names, prefix, role).map(|picked| (i, Picked { layer, ..picked })));
+        }
+    }
+    if found.len() == 1 { found.pop() } else { None }
+}
+
+/// The channels of colors whose names begin with `prefix`.
+fn pick_in(names: &[String], prefix: &str, role: Role) -> Option<Picked> {
+    let named = |wanted: &str| {
+        let is = |name: &&String, exact: bool| {
+            let rest = name.strip_prefix(prefix);
+            rest.is_some_and(|rest| rest == wanted || !exact && rest.eq_ignore_ascii_case(wanted))
+        };
+        names.iter().find(|name| is(name, true)).or_else(|| names.iter().find(|name| is(name, false)))
+    };
+    let alpha = named("A").cloned().unwrap_or_else(|| format!("{prefix}A"));
+    if let (Some(r), Some(g), Some(b)) = (named("R"), named("G"), named("B")) {
+        return Some(Picked { names: [r, g, b].map(Clone::clone), alpha, layer: None });
+    }
+    let y = named("Y").filter(|_| role == Role::Color)?;
+    // With chroma it is not gray, and beside X it is a coordinate.
+    let is_gray = ["RY", "BY", "X"].iter().all(|other| named(other).is_none());
+    is_gray.then(|| Picked { names: [y, y, y].map(Clone::clone), alpha, layer: None })
+}
+
+/// A width and its pixels.
+type Data = (usize, Vec<[f32; 3]>);
+
+/// The pixels of the data window, and whether all of them are opaque.
+fn read(source: &Source<'_>, picked: &Picked) -> Result<(Data, bool), Fault> {
+    let fault = |error: exr::error::Error| source.bad(error.to_string());
+    let reader = exr_prelude::read().no_deep_data().largest_resolution_level();
+    let input = Cursor::new(source.bytes);
+    let [r, g, b] = picked.names.each_ref().map(String::as_str);
+    let storage = if r == g {
+        let channels = reader.specific_channels().required(r).optional(picked.alpha.as_str(), 1.0f32);
+        let layer = channels.collect_pixels(
+            |size, _: &_| Storage::new(size),
+            |storage: &mut Storage, at, (y, a): (f32, f32)| storage.set(at, [y; 3], a),
+        );
+        let image = layer.first_valid_layer().all_attributes().non_parallel().from_buffered(input);
+        image.map_err(fault)?.layer_data.channel_data.pixels
+    } else {
+        let channels = reader.specific_channels().required(r).required(g).required(b);
+        let layer = channels.optional(picked.alpha.as_str(), 1.0f32).collect_pixels(
+            |size, _: &_| Storage::new(size),
+            |storage: &mut Storage, at, (r, g, b, a): (f32, f32, f32, f32)| storage.set(at, [r, g, b], a),
+        );
+        let image = layer.first_valid_layer().all_attributes().non_parallel().from_buffered(input);
+        image.map_err(fault)?.layer_data.channel_data.pixels
+    };
+    Ok(((storage.width, storage.pixels), storage.is_opaque))
+}
+
+/// Pixels that are being read.
+struct Storage {
+    width: usize,
+    pixels: Vec<[f32; 3]>,
+    /// Whether all of them are opaque.
+    is_opaque: bool,
+}
+
+impl Storage {
+    fn new(size: exr_prelude::Vec2<usize>) -> Self {
+        Self { width: size.width(), pixels: vec![[0.0; 3]; size.area()], is_opaque: true }
+    }
+
+    fn set(&mut self, at: exr_prelude::Vec2<usize>, rgb: [f32; 3], alpha: f32) {
+        self.pixels[at.y() * self.width + at.x()] = rgb;
+        self.is_opaque &= alpha == 1.0;
+    }
+}
+
+/// Statements of the file that are not used.
+fn unused(header: &Header, parts: &[Header], picked: &Picked) -> Vec<String> {
+    let mut remarks = Vec::new();
+    if parts.len() > 1 {
+        let name = header
+            .own_attributes
+            .layer_name
+            .as_ref()
+            .map_or_else(String::new, |name| format!(", `{}`", printable(&name.to_string())));
+        remarks.push(format!("it has {} parts: one of them is read{name}", parts.len()));
+    }
+    if let Some(layer) = &picked.layer {
+        remarks.push(format!("its only layer with colors is read, `{}`", printable(layer)));
+    }
+    let names = channel_names(header);
+    let others: Vec<&str> = names.iter().map(String::as_str).collect();
+    let others =
+        others.into_iter().filter(|name| *name != picked.alpha && !picked.names.iter().any(|used| used == name));
+    let others: Vec<&str> = others.collect();
+    if !others.is_empty() {
+        remarks.push(format!("channels that are not used: {}", listed(others.into_iter())));
+    }
+    let own = &header.own_attributes;
+    if let Some(white) = own.white_luminance.filter(|&white| white != 1.0) {
+        remarks.push(format!("whiteLuminance {white} is not used: values are factors"));
+    }
+    let aspect = header.shared_attributes.pixel_aspect;
+    if aspect != 1.0 {
+        remarks.push(format!("pixelAspectRatio {aspect} is not used: texture coordinates span the image"));
+    }
+    if let Some(mode) = &own.wrap_mode_name {
+        let mode = printable(&mode.to_string());
+        if mode != "periodic" {
+            remarks.push(format!("wrap mode `{mode}` is not used: textures repeat"));
+        }
+    }
+    if own.view_name.is_some() || own.multi_view_names.is_some() {
+        remarks.push("it has several views: one of them is read".to_owned());
+    }
+    remarks
+}
+
+/// The map from the file's primaries.
+fn primaries(header: &Header, role: Role, picked: &Picked, remarks: &mut Vec<String>) -> Option<Matrix> {
+    let stated = header.shared_attributes.chromaticities?;
+    if role == Role::Normals || picked.names[0] == picked.names[1] {
+        return None;
+    }
+    let xy = |v: exr_prelude::Vec2<f32>| [f64::from(v.x()), f64::from(v.y())];
+    let chromaticities: Chromaticities = [stated.red, stated.green, stated.blue, stated.white].map(xy);
+    Matrix::to_rec709(chromaticities).unwrap_or_else(|_| {
+        remarks.push("its chromaticities span no colors, and are not used".to_owned());
+        None
+    })
+}
+
+/// The picture of the display window: black outside of the data window, and without what is outside of the picture.
+fn placed(
+    source: &Source<'_>,
+    header: &Header,
+    (data_width, data): Data,
+    remarks: &mut Vec<String>,
+) -> Result<(u32, u32, Vec<[f32; 3]>), Fault> {
+    let display = header.shared_attributes.display_window;
+    let (width, height) = source.check_size(display.size.width(), display.size.height())?;
+    let offset = |data: i32, display: i32| i64::from(data) - i64::from(display);
+    let position = header.own_attributes.layer_position;
+    let (left, top) = (offset(position.x(), display.position.x()), offset(position.y(), display.position.y()));
+    if (left, top) == (0, 0) && header.layer_size == display.size {
+        return Ok((width, height, data));
+    }
+    let area = width as usize * height as usize;
+    if area > FREE_AREA && area / data.len() > MOST_EMPTY {
+        let reason =
+            format!("its display window of {width} x {height} pixels has data in less than 1/{MOST_EMPTY} of it");
+        return Err(source.advised(reason, "crop it to what it shows"));
+    }
+    let mut pixels = vec![[0.0; 3]; area];
+    let mut is_empty = true;
+    for (i, row) in data.chunks_exact(data_width).enumerate() {
+        let y = top + i as i64;
+        let first = left.clamp(0, i64::from(width));
+        let end = (left + data_width as i64).clamp(0, i64::from(width));
+        if !(0..i64::from(height)).contains(&y) || first >= end {
+            continue;
+        }
+        let start = y as usize * width as usize;
+        let from = &row[(first - left) as usize..(end - left) as usize];
+        pixels[start + first as usize..start + end as usize].copy_from_slice(from);
+        is_empty = false;
+    }
+    if is_empty {
+        remarks.push("its data window is outside of its display window: it is black".to_owned());
+    }
+    Ok((width, height, pixels))
+}

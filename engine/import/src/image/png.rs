@@ -1,0 +1,262 @@
+//! PNG: values by the color chunks of the specification's third edition, cICP before iCCP before sRGB before gAMA and cHRM.
+
+use super::{
+    Opened, Role, Source,
+    exif::Exif,
+    icc,
+    primaries::{Chromaticities, Matrix},
+    printable, spread,
+    transfer::Transfer,
+};
+use crate::Fault;
+use std::io::Cursor;
+
+/// The gamma of gAMA that stands for sRGB, and the distance from it that is one of digits (1 %).
+const SRGB_GAMMA: [u32; 2] = [45_455, 455];
+
+/// What the chunks of a file state about its values.
+#[derive(Debug, Default, PartialEq)]
+struct Stated {
+    /// Primaries, transfer function, matrix and range by ITU-T H.273.
+    cicp: Option<[u8; 4]>,
+    /// Name of the color profile.
+    profile: Option<String>,
+    srgb: bool,
+    /// 100000 times the exponent of encoding.
+    gamma: Option<u32>,
+    chromaticities: Option<Chromaticities>,
+    animated: bool,
+    exif: Exif,
+    /// Color chunks that cannot be used.
+    damaged: Vec<String>,
+}
+
+pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
+    let fault = |error: png::DecodingError| source.bad(error.to_string());
+    let mut decoder = png::Decoder::new(Cursor::new(source.bytes));
+    // Palettes and fewer than 8 bits become whole bytes; 16 bits stay.
+    decoder.set_transformations(png::Transformations::EXPAND);
+    let mut reader = decoder.read_info().map_err(fault)?;
+    let (width, height) = source.check_size(reader.info().width as usize, reader.info().height as usize)?;
+    let (color, depth) = reader.output_color_type();
+    let size = reader.output_buffer_size().ok_or_else(|| source.bad("it is too large for this machine"))?;
+    let mut stated = Stated::read(source.bytes);
+    if let Some(profile) = reader.info().icc_profile.as_deref().and_then(icc::description) {
+        stated.profile = Some(profile);
+    }
+    let mut values = vec![0; size];
+    reader.next_frame(&mut values).map_err(fault)?;
+
+    let is_color = source.role == Role::Color;
+    let mut remarks = stated.exif.remarks(is_color, true);
+    if stated.animated {
+        remarks.push("animation is not used: the texture is the still image of the file".to_owned());
+    }
+    let meaning = match source.role {
+        Role::Color => stated.meaning(source)?,
+        Role::Normals => Meaning::default(),
+    };
+    let is_gray = color.samples() < 3;
+    remarks.extend(meaning.remarks);
+    let channels = color.samples();
+    let bytes = if depth == png::BitDepth::Sixteen { 2 } else { 1 };
+    let most = if bytes == 2 { f64::from(u16::MAX) } else { f64::from(u8::MAX) };
+    let table: Vec<f32> = (0..=most as u32)
+        .map(|value| meaning.transfer.value(meaning.range.of(f64::from(value), most), source.role))
+        .collect();
+    let number = |pixel: &[u8], i: usize| match bytes {
+        1 => usize::from(pixel[i]),
+        _ => usize::from(u16::from_be_bytes([pixel[2 * i], pixel[2 * i + 1]])),
+    };
+    let pixels = values.chunks_exact(bytes * channels);
+    if channels % 2 == 0 && pixels.clone().any(|pixel| number(pixel, channels - 1) < most as usize) {
+        remarks.push("alpha is not used: transparent pixels keep their color".to_owned());
+    }
+    let pixels = pixels.map(|pixel| spread(channels, |i| table[number(pixel, i)])).collect();
+    let to_rec709 = if is_gray { None } else { meaning.to_rec709 };
+    Ok(Opened { width, height, pixels, to_rec709, remarks })
+}
+
+/// How values of a file are read.
+struct Meaning {
+    transfer: Transfer,
+    range: Range,
+    to_rec709: Option<Matrix>,
+    remarks: Vec<String>,
+}
+
+impl Default for Meaning {
+    fn default() -> Self {
+        Self { transfer: Transfer::Srgb, range: Range::Full, to_rec709: None, remarks: Vec::new() }
+    }
+}
+
+/// Which values stand for black and white.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Range {
+    /// The least and the largest.
+    Full,
+    /// 16 and 235 of 8 bits, as in video.
+    Narrow,
+}
+
+impl Range {
+    /// A value of `0..=most` in [0, 1].
+    fn of(self, value: f64, most: f64) -> f64 {
+        match self {
+            Self::Full => value / most,
+            Self::Narrow => {
+                let step = (most + 1.0) / 256.0;
+                ((value / step - 16.0) / 219.0).clamp(0.0, 1.0)
+            }
+        }
+    }
+}
+
+impl Stated {
+    fn read(bytes: &[u8]) -> Self {
+        let mut stated = Self::default();
+        let mut rest = bytes.get(8..).unwrap_or_default();
+        let mut before_pixels = true;
+        while let Some((kind, data, is_sound)) = next_chunk(&mut rest) {
+            let is_color = matches!(kind, b"cICP" | b"iCCP" | b"sRGB" | b"gAMA" | b"cHRM");
+            match kind {
+                b"IDAT" => before_pixels = false,
+                b"acTL" => stated.animated = true,
+                b"eXIf" if is_sound => stated.exif = Exif::read(data),
+                _ if is_color && !(is_sound && before_pixels && stated.take(kind, data)) => {
+                    let name = String::from_utf8_lossy(kind);
+                    stated.damaged.push(format!("chunk {name} is damaged or misplaced, and not used"));
+                }
+                _ => {}
+            }
+        }
+        stated
+    }
+
+    /// Takes what a color chunk states; false: it states nothing that can be used.
+    fn take(&mut self, kind: &[u8; 4], data: &[u8]) -> bool {
+        let number = |i: usize| {
+            let four = data.get(4 * i..4 * i + 4)?;
+            Some(u32::from_be_bytes(four.try_into().ok()?))
+        };
+        match (kind, data.len()) {
+            // PNG holds red, green and blue: it has no matrix.
+            (b"cICP", 4) if data[2] == 0 && data[3] <= 1 => self.cicp = Some([data[0], data[1], data[2], data[3]]),
+            (b"iCCP", _) => {
+                let name = data.iter().take(80).position(|&byte| byte == 0).unwrap_or(0);
+                self.profile = Some(printable(&data[..name].iter().map(|&byte| char::from(byte)).collect::<String>()));
+            }
+            (b"sRGB", 1) => self.srgb = true,
+            (b"gAMA", 4) => self.gamma = number(0).filter(|&gamma| gamma > 0),
+            (b"cHRM", 32) => {
+                let xy = |i: usize| [2 * i, 2 * i + 1].map(|i| f64::from(number(i).unwrap_or(0)) / 1e5);
+                // White comes first.
+                self.chromaticities = Some([xy(1), xy(2), xy(3), xy(0)]);
+            }
+            _ => return false,
+        }
+        kind != b"gAMA" || self.gamma.is_some()
+    }
+
+    /// How color values are read, by the statement that goes before the others.
+    fn meaning(&self, source: &Source<'_>) -> Result<Meaning, Fault> {
+        let mut meaning = Meaning { remarks: self.damaged.clone(), ..Meaning::default() };
+        if let Some([primaries, transfer, _, range]) = self.cicp {
+            meaning.transfer = cicp_transfer(transfer, source, &mut meaning.remarks)?;
+            meaning.range = if range == 1 { Range::Full } else { Range::Narrow };
+            match cicp_primaries(primaries) {
+                Some(primaries) => meaning.set_primaries(primaries),
+                None => meaning.remarks.push(format!("primaries {primaries} of cICP are taken as those of Rec.709")),
+            }
+            return Ok(meaning);
+        }
+        let is_srgb = match &self.profile {
+            Some(name) if icc::is_srgb(name) => true,
+            Some(name) => {
+                let instead = if self.gamma.is_some() && !self.srgb { "gAMA and cHRM say" } else { "sRGB" };
+                meaning.remarks.extend(icc::remark(name, instead));
+                self.srgb
+            }
+            None => self.srgb,
+        };
+        if is_srgb {
+            return Ok(meaning);
+        }
+        if let Some(gamma) = self.gamma.filter(|gamma| gamma.abs_diff(SRGB_GAMMA[0]) > SRGB_GAMMA[1]) {
+            meaning.transfer = Transfer::Power(1e5 / f64::from(gamma));
+        }
+        if let Some(chromaticities) = self.chromaticities {
+            meaning.set_primaries(chromaticities);
+        }
+        Ok(meaning)
+    }
+}
+
+impl Meaning {
+    fn set_primaries(&mut self, chromaticities: Chromaticities) {
+        match Matrix::to_rec709(chromaticities) {
+            Ok(matrix) => self.to_rec709 = matrix,
+            Err(_) => self.remarks.push("its primaries span no colors, and are not used".to_owned()),
+        }
+    }
+}
+
+/// The transfer function of that code of ITU-T H.273.
+fn cicp_transfer(code: u8, source: &Source<'_>, remarks: &mut Vec<String>) -> Result<Transfer, Fault> {
+    let name = match code {
+        1 | 6 | 14 | 15 => return Ok(Transfer::Bt709),
+        4 => return Ok(Transfer::Power(2.2)),
+        5 => return Ok(Transfer::Power(2.8)),
+        8 => return Ok(Transfer::Power(1.0)),
+        13 => return Ok(Transfer::Srgb),
+        2 => {
+            remarks.push("cICP leaves the transfer function open: values are read as sRGB".to_owned());
+            return Ok(Transfer::Srgb);
+        }
+        16 => " (PQ)",
+        18 => " (HLG)",
+        _ => "",
+    };
+    let reason = format!("its values have transfer function {code}{name} of cICP, which is not supported");
+    Err(source.advised(reason, "save it again as EXR, or as PNG with sRGB or linear values"))
+}
+
+/// The primaries of that code of ITU-T H.273.
+fn cicp_primaries(code: u8) -> Option<Chromaticities> {
+    const D65: [f64; 2] = [0.3127, 0.3290];
+    const C: [f64; 2] = [0.310, 0.316];
+    Some(match code {
+        1 => super::primaries::REC709,
+        4 => [[0.67, 0.33], [0.21, 0.71], [0.14, 0.08], C],
+        5 => [[0.64, 0.33], [0.29, 0.60], [0.15, 0.06], D65],
+        6 | 7 => [[0.630, 0.340], [0.310, 0.595], [0.155, 0.070], D65],
+        8 => [[0.681, 0.319], [0.243, 0.692], [0.145, 0.049], C],
+        9 => [[0.708, 0.292], [0.170, 0.797], [0.131, 0.046], D65],
+        10 => [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [1.0 / 3.0, 1.0 / 3.0]],
+        11 => [[0.680, 0.320], [0.265, 0.690], [0.150, 0.060], [0.314, 0.351]],
+        12 => [[0.680, 0.320], [0.265, 0.690], [0.150, 0.060], D65],
+        22 => [[0.630, 0.340], [0.295, 0.605], [0.155, 0.077], D65],
+        _ => return None,
+    })
+}
+
+/// The next chunk: its kind, its data and whether its checksum is right.
+fn next_chunk<'b>(rest: &mut &'b [u8]) -> Option<(&'b [u8; 4], &'b [u8], bool)> {
+    let (length, tail) = rest.split_first_chunk::<4>()?;
+    let length = usize::try_from(u32::from_be_bytes(*length)).ok()?;
+    let summed = tail.get(..length.checked_add(4)?)?;
+    let (kind, data) = summed.split_first_chunk::<4>()?;
+    let (checksum, tail) = tail[summed.len()..].split_first_chunk::<4>()?;
+    *rest = tail;
+    // Pixels are the decoder's business.
+    let is_sound = kind == b"IDAT" || crc32(summed) == u32::from_be_bytes(*checksum);
+    Some((kind, data, is_sound))
+}
+
+/// The checksum of PNG.
+pub(super) fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!0u32, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |c, _| if c & 1 == 1 { (c >> 1) ^ 0xedb8_8320 } else { c >> 1 })
+    })
+}

@@ -105,7 +105,7 @@ impl Scene {
     }
 
     /// The largest value that `field` of an entity takes: `now`, or a key of its `vary`.
-    pub(crate) fn largest(&self, entity: &str, field: &str, now: f64) -> f64 {
+    pub fn largest(&self, entity: &str, field: &str, now: f64) -> f64 {
         let selector = format!("{entity}.{field}");
         let varies = self.varies.iter().filter(|vary| vary.selector == selector);
         varies.flat_map(|vary| vary.keys.iter().map(|key| key.1)).fold(now, f64::max)

@@ -10,9 +10,11 @@
 //! - a lamp, however it was found: `L`; a medium that glows: `O`. There is no background, `B`;
 //! - surfaces that light goes straight through: none, since the way to a lamp leads through them, too.
 
+mod dark;
 mod features;
 mod recorder;
 
+pub use dark::{DarkLayer, dark_layers};
 pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes, render_beside};
 
 use crate::render::{RenderError, RenderedTile, render_rows};

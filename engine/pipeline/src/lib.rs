@@ -34,7 +34,7 @@ pub use first_pass_steps::{aim, begin, blocks_of, first_pass_blocks, in_blocks, 
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use layers::{
     DarkLayer, FeaturePlan, LayerPlan, dark_layers, feature_channels, feature_layout, feature_mattes, lamp_labels,
-    render_beside, render_with_layers,
+    merged_names, render_beside, render_with_layers,
 };
 pub use plan::{FIRST_PASS, LeftOut, Plan, PlanError, plan};
 pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, prepare_world, render_tile};

@@ -12,10 +12,12 @@
 
 mod dark;
 mod features;
+mod merged;
 mod recorder;
 
 pub use dark::{DarkLayer, dark_layers};
 pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes, render_beside};
+pub use merged::merged_names;
 
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;

@@ -2,14 +2,15 @@
 
 mod contents;
 mod faults;
+mod refusals;
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure};
+use crate::output::faults::{self as output, Detail, Kind, Line};
 use crate::output::{Say, human, json};
 use crate::request::load;
 use clap::Args;
 use contents::Contents;
-use faults::{Kind, Line};
 use femc_scene::check::Severity;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -56,7 +57,7 @@ impl Report {
             errors: count(Severity::Error),
             warnings: count(Severity::Warning),
             notes: count(Severity::Note),
-            kinds: faults::kinds(&faults),
+            kinds: output::kinds(&faults),
             faults,
             contents,
         }
@@ -74,7 +75,9 @@ pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
             return Err(failure);
         }
     };
-    let report = Report::new(args, faults::lines(&root, &loaded), Contents::of(&loaded.scene, &root));
+    let mut lines = faults::lines(&root, &loaded);
+    lines.extend(refusals::refusals(&root, &loaded.scene));
+    let report = Report::new(args, lines, Contents::of(&loaded.scene, &root));
     if args.format.json {
         json::print(say, &report)?;
     } else {
@@ -84,7 +87,7 @@ pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 fn print(say: Say, report: &Report, all: bool) {
-    faults::print(say, &report.faults, all);
+    output::print(say, &report.faults, if all { Detail::All } else { Detail::Kinds });
     if say.quiet() {
         return;
     }

@@ -85,11 +85,25 @@ pub fn percent(fraction: f64) -> String {
     if p < 10.0 { format!("{p:.2} %") } else { format!("{p:.0} %") }
 }
 
-/// What another wrote, for a terminal: control characters are shown instead of obeyed.
+/// Whether a terminal obeys a character instead of showing it: control characters, and those that turn the direction of writing.
+pub fn steers(c: char) -> bool {
+    let turns = matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    c.is_control() || turns || matches!(c, '\u{2028}' | '\u{2029}')
+}
+
+/// A text that another wrote, for a terminal: what steers it is shown instead of obeyed, but for ends of lines and tabs.
 pub fn shown(text: &str) -> String {
-    let obeyed = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    escaped(text, |c| steers(c) && !matches!(c, '\n' | '\t'))
+}
+
+/// Like [`shown`], tabs too.
+pub fn inert(text: &str) -> String {
+    escaped(text, |c| steers(c) && c != '\n')
+}
+
+fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
     text.chars().fold(String::with_capacity(text.len()), |mut shown, c| {
-        if obeyed(c) {
+        if is_escaped(c) {
             shown.extend(c.escape_default());
         } else {
             shown.push(c);
@@ -134,6 +148,7 @@ mod tests {
     #[test]
     fn what_others_wrote_does_not_steer_a_terminal() {
         assert_eq!(shown("a\tb\nc\u{1b}[2J\u{9b}1m\r\u{7}ü"), "a\tb\nc\\u{1b}[2J\\u{9b}1m\\r\\u{7}ü");
+        assert_eq!(inert("a\tb\u{202e}\u{2066}c\u{7f}\n"), "a\\tb\\u{202e}\\u{2066}c\\u{7f}\n");
     }
 
     #[test]

@@ -103,7 +103,7 @@ async fn show(args: &LogsArgs, farm: &Farm, records: &[LogRecord], say: Say) -> 
             },
         };
         if args.format.json && args.follow {
-            say.result(serde_json::to_string(&LogJson::new(record, text)).map_err(crate::exit::failed)?);
+            json::line(say, &LogJson::new(record, text))?;
         } else if args.format.json {
             all.push(LogJson::new(record, text));
         } else {

@@ -8,7 +8,7 @@ use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, interrupted};
 use crate::output::blocks::Room;
 use crate::output::job::JobJson;
-use crate::output::{Progress, Say, Stage, human, job as show};
+use crate::output::{Progress, Say, Stage, human, job as show, json};
 use clap::{Args, ValueEnum};
 use femc_model::{FrameRecord, JobId, JobStatus};
 use serde::Serialize;
@@ -190,8 +190,9 @@ enum Event<'a> {
 
 impl Events {
     fn tell(&self, event: &Event<'_>) {
-        if let (Some(say), Ok(line)) = (self.say, serde_json::to_string(event)) {
-            say.result(line);
+        if let Some(say) = self.say {
+            // An event can always be written.
+            let _ = json::line(say, event);
         }
     }
 

@@ -1,10 +1,12 @@
 //! What is said, and where: results on stdout, progress, notes and errors on stderr.
 
 pub mod blocks;
+pub mod faults;
 pub mod job;
 pub mod json;
 mod progress;
 mod say;
+mod terminal;
 
 pub use femc_reports::human;
 pub use progress::{Progress, Snapshot, Stage};

@@ -131,7 +131,7 @@ impl Progress {
         match &self.form {
             Form::Silent => {}
             Form::Bar(bar) => bar.set_prefix(format!("{text}\n")),
-            Form::Lines { say, .. } => say.note(text),
+            Form::Lines { say, .. } => say.picture(text),
         }
     }
 

@@ -1,3 +1,4 @@
+use super::terminal::{Style, obeyed};
 use crate::args::{ColorChoice, CommonArgs};
 use crate::exit::Failure;
 use std::fmt::Display;
@@ -9,25 +10,6 @@ pub struct Say {
     quiet: bool,
     colored_out: bool,
     colored_err: bool,
-}
-
-/// The few styles in use.
-#[derive(Clone, Copy, Debug)]
-enum Style {
-    Red,
-    Yellow,
-    Bold,
-}
-
-impl Style {
-    fn paint(self, text: &str, colored: bool) -> String {
-        let code = match self {
-            Self::Red => "1;31",
-            Self::Yellow => "1;33",
-            Self::Bold => "1",
-        };
-        if colored { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_owned() }
-    }
 }
 
 impl Say {
@@ -59,26 +41,38 @@ impl Say {
 
     /// A result: a line on stdout. A reader that has gone away (`| head`) is no fault.
     pub fn result(self, line: impl Display) {
-        let _ = writeln!(io::stdout().lock(), "{line}");
+        let _ = writeln!(io::stdout().lock(), "{}", obeyed(&line.to_string()));
+    }
+
+    /// A document on stdout, to the letter.
+    pub fn document(self, text: &str) {
+        let _ = writeln!(io::stdout().lock(), "{text}");
+    }
+
+    /// A picture of characters on stderr, with its colors; not with `--quiet`.
+    pub fn picture(self, text: &str) {
+        if !self.quiet {
+            let _ = writeln!(io::stderr().lock(), "{text}");
+        }
     }
 
     /// A remark on stderr, not with `--quiet`.
     pub fn note(self, line: impl Display) {
         if !self.quiet {
-            let _ = writeln!(io::stderr().lock(), "{line}");
+            let _ = writeln!(io::stderr().lock(), "{}", obeyed(&line.to_string()));
         }
     }
 
     /// A warning on stderr.
     pub fn warning(self, line: impl Display) {
         let label = Style::Yellow.paint("warning:", self.colored_err);
-        let _ = writeln!(io::stderr().lock(), "femc: {label} {line}");
+        let _ = writeln!(io::stderr().lock(), "{}", obeyed(&format!("femc: {label} {line}")));
     }
 
     /// The failure that ends the command.
     pub fn failure(self, failure: &Failure) {
         let label = Style::Red.paint("error:", self.colored_err);
-        let _ = writeln!(io::stderr().lock(), "femc: {label} {failure}");
+        let _ = writeln!(io::stderr().lock(), "{}", obeyed(&format!("femc: {label} {failure}")));
     }
 
     /// A heading for stdout.

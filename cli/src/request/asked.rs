@@ -4,16 +4,17 @@ use super::picture::attributes;
 use super::{JobFile, Stated};
 use crate::args::{Filter, Method, SettingsArgs, Stats};
 use crate::exit::{Failure, failed, usage};
-use crate::output::{Say, human};
+use crate::output::Say;
+use crate::output::faults::{self, Line};
 use crate::values::{Frames, Size};
 use femc_fault::{Pretense, pretended};
-use femc_import::{Bundle, ImportErrors, Loaded, ScenePath};
+use femc_import::{Bundle, ImportErrors, Loaded, ScenePath, Warning};
 use femc_pipeline::auto::{self, Choice};
 use femc_pipeline::{
-    FIRST_PASS, Feature, Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source, Stop,
-    lamp_labels,
+    DarkLayer, FIRST_PASS, Feature, Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source,
+    Stop, lamp_labels,
 };
-use femc_scene::Scene;
+use femc_scene::{Scene, Severity};
 use femc_worker::Parcel;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -65,8 +66,6 @@ pub struct Base {
     source: Source,
 }
 
-/// Warnings of the import that are shown one by one; `femc check` has all.
-const WARNINGS: usize = 12;
 /// Frames a second of a clip of a scene that does not say.
 const DEFAULT_RATE: f64 = 24.0;
 
@@ -77,16 +76,9 @@ impl Base {
     /// Import the scene at `path`, whose files are below `root` (`None`: below its folder). Warnings go to stderr.
     pub fn open(path: &Path, root: Option<&Path>, say: Say) -> Result<Self, Failure> {
         let (place, loaded) = load(path, root)?;
-        for warning in loaded.warnings.iter().take(WARNINGS) {
-            say.note(format!("warning: {}", shown(&place, warning)));
-        }
-        if let more @ 1.. = loaded.warnings.len().saturating_sub(WARNINGS) {
-            let more = human::count(more as u64, "more warning");
-            say.note(format!("warning: {more}; `femc check {}` groups them", path.display()));
-        }
-        for note in &loaded.notes {
-            say.note(format!("note: {}", shown(&place, note)));
-        }
+        let warnings = loaded.warnings.iter().map(|warning| line_of(&place, warning, Severity::Warning));
+        let notes = loaded.notes.iter().map(|note| line_of(&place, note, Severity::Note));
+        faults::remark(say, &warnings.chain(notes).collect::<Vec<_>>(), &path.display().to_string());
         known_varies(&place, &loaded.scene)?;
         let source = Source::new(Arc::new(loaded.scene));
         Ok(Self { path: path.to_owned(), place, files: loaded.files, source })
@@ -157,6 +149,7 @@ impl Asked {
         } else {
             Base::open(path, typed.root.as_deref(), say)?.ask(&typed, &|_| None)?
         };
+        asked.warn(say);
         Ok(asked)
     }
 
@@ -183,6 +176,7 @@ impl Asked {
         if engine != femc_worker::engine() {
             say.warning(format!("--replay: {shown} is of another build of the engine ({engine}): pixels may differ"));
         }
+        asked.warn(say);
         Ok(asked)
     }
 
@@ -204,6 +198,32 @@ impl Asked {
         }
         self.choice = Some(choice);
         Ok(self)
+    }
+
+    /// Warns of what the frames of this request will lack: light, and layers that nothing in the scene can make.
+    /// Layers that come in sets (`guides`, `lamps`) may be black without a word: whoever asks for the set reads all of it.
+    pub fn warn(&self, say: Say) {
+        let scene = self.scene();
+        if scene.is_dark() {
+            let path = self.path.display();
+            say.warning(format!(
+                "{path}: nothing in the scene emits light: every picture of it is black; see `femc check {path}`"
+            ));
+        }
+        let sets: Vec<Layer> =
+            [Preset::Guides, Preset::Lamps].into_iter().flat_map(|set| self.layers_of(set)).collect();
+        let is_own = |dark: &DarkLayer| sets.iter().all(|layer| layer.name != dark.layer);
+        for dark in femc_pipeline::dark_layers(scene, &self.settings).into_iter().filter(is_own) {
+            say.warning(dark);
+        }
+        for merged in femc_pipeline::merged_names(scene, &self.settings.features) {
+            say.warning(merged);
+        }
+    }
+
+    /// Layers of a name in this scene; none where it has none.
+    fn layers_of(&self, preset: Preset) -> Vec<Layer> {
+        preset.layers(lamp_labels(self.scene()).iter().map(String::as_str)).unwrap_or_default()
     }
 
     /// Prints why the pilot has chosen a first pass.
@@ -315,6 +335,13 @@ fn known_varies(place: &ScenePath, scene: &Scene) -> Result<(), Failure> {
         }
     }
     Ok(())
+}
+
+/// A warning or note of the import.
+pub fn line_of(place: &ScenePath, warning: &Warning, severity: Severity) -> Line {
+    let Warning { at, oddity } = warning;
+    let (kind, file) = (oddity.kind().to_owned(), shown(place, &at.file));
+    Line { severity, kind, file, line: at.line, column: None, message: oddity.to_string(), advice: String::new() }
 }
 
 /// A message that begins with a file below the scene's root, made to begin with that file's path from here.

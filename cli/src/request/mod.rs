@@ -6,7 +6,7 @@ mod job_file;
 pub mod picture;
 mod stated;
 
-pub use asked::{Asked, Base, FramesChosen, is_job, load, locate, shown};
+pub use asked::{Asked, Base, FramesChosen, is_job, line_of, load, locate, shown};
 #[cfg(feature = "openjd")]
 pub use job_file::{Axis, Change, Mode};
 pub use job_file::{JobFile, Measures, typed_keys};

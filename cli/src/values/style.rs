@@ -2,6 +2,7 @@
 
 use crate::exit::{Failure, failed, usage};
 use femc_film::{FilmError, Picture};
+use femc_reports::human;
 use femc_stylize::{GuideFrame, Planes, frames, styles};
 use std::path::{Path, PathBuf};
 
@@ -14,6 +15,8 @@ pub struct Style {
     pub source: GuideFrame,
     /// What errors call the source.
     pub source_path: PathBuf,
+    /// Share of the painting's pixels that are transparent, fully or in part.
+    pub transparent: f64,
 }
 
 impl Style {
@@ -40,9 +43,20 @@ impl Style {
         }
     }
 
+    /// What the transparency of the painting becomes; `None`: it is opaque.
+    pub fn paper(&self) -> Option<String> {
+        (self.transparent > 0.0).then(|| {
+            format!(
+                "the painting is transparent in {} of its pixels, where it counts as white paint: white goes into the pictures; paint \
+                 the ground that you want there",
+                human::percent(self.transparent)
+            )
+        })
+    }
+
     fn of(path: &Path, png: &[u8], source: GuideFrame, source_path: &Path) -> Result<Self, Failure> {
         let fault = |error: &dyn std::fmt::Display| failed(format!("--style {}: {error}; give a PNG", path.display()));
-        let picture = Picture::from_any_png(png).map_err(|error| fault(&error))?;
+        let (picture, clear) = Picture::from_any_png_on_paper(png).map_err(|error| fault(&error))?;
         let [width, height] = source.size();
         if [picture.width, picture.height] != [width, height] {
             return Err(failed(format!(
@@ -54,7 +68,8 @@ impl Style {
             )));
         }
         let painting = frames::painting(&picture).map_err(|error| fault(&error))?;
-        Ok(Self { painting, source, source_path: source_path.to_owned() })
+        let transparent = clear as f64 / picture.pixels.len().max(1) as f64;
+        Ok(Self { painting, source, source_path: source_path.to_owned(), transparent })
     }
 }
 

@@ -49,6 +49,11 @@ impl Picture {
     /// The picture of any PNG file, as painting programs write them: gray or colors, palettes, 1 to 16 bits a channel (of 16 the upper 8
     /// are kept). What is transparent shows white paper.
     pub fn from_any_png(bytes: &[u8]) -> Result<Self, FilmError> {
+        Self::from_any_png_on_paper(bytes).map(|(picture, _)| picture)
+    }
+
+    /// Like [`Self::from_any_png`], with the number of pixels through which the paper shows.
+    pub fn from_any_png_on_paper(bytes: &[u8]) -> Result<(Self, usize), FilmError> {
         let damaged = |e: png::DecodingError| FilmError::Format { what: "reading PNG", cause: e.to_string() };
         let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
         decoder.set_transformations(png::Transformations::normalize_to_color8());
@@ -71,8 +76,10 @@ impl Picture {
             [red, green, blue, alpha] => [red, green, blue].map(|value| over_paper(value, alpha)),
             _ => [0; 3],
         };
+        let is_clear = |pixel: &&[u8]| matches!(pixel, [_, alpha] | [_, _, _, alpha] if *alpha < u8::MAX);
+        let clear = out.chunks_exact(channels).filter(is_clear).count();
         let pixels = out.chunks_exact(channels).map(pixel).collect();
-        Ok(Self { width, height, pixels })
+        Ok((Self { width, height, pixels }, clear))
     }
 
     /// What is shown in the place of a picture that there is not: gray with a cross.
@@ -221,6 +228,9 @@ mod tests {
             (file(png::ColorType::Grayscale, png::BitDepth::One, &[0b0100_0000]), [[0; 3], [255; 3]]),
         ] {
             assert_eq!(Picture::from_any_png(&bytes).unwrap().pixels, expected);
+            let clear = Picture::from_any_png_on_paper(&bytes).unwrap().1;
+            let white = expected.iter().filter(|pixel| **pixel == [255; 3] || **pixel == [224, 204, 204]).count();
+            assert_eq!(clear, if bytes[25] & 4 == 0 { 0 } else { white }, "color type {}", bytes[25]);
             assert!((0..bytes.len()).all(|end| Picture::from_any_png(&bytes[..end]).is_err()));
         }
     }

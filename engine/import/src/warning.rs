@@ -69,6 +69,13 @@ pub enum Oddity {
         /// Its path below the root.
         path: String,
     },
+    /// An object opened again in another place; said once per name.
+    ObjectAgain {
+        /// Its full name.
+        name: String,
+        /// Where it was opened first.
+        first: Position,
+    },
     /// `o` or `xf` still open at the end of the file that opened it; closed there.
     LeftOpen {
         /// `o` or `xf`.
@@ -132,6 +139,7 @@ impl Oddity {
             Self::NoLuminance { .. } => "no-luminance",
             Self::TooBright { .. } => "scaled-reflectance",
             Self::OutsideFolder { .. } => "outside-folder",
+            Self::ObjectAgain { .. } => "object-again",
             Self::LeftOpen { .. } => "left-open",
             Self::Replaced { .. } => "duplicate-name",
             Self::NotTransformed { .. } => "not-transformed",
@@ -180,6 +188,13 @@ impl fmt::Display for Oddity {
                 write!(
                     f,
                     "`{path}` is outside the scene's folder: this scene needs its root (`--root`) wherever it goes"
+                )
+            }
+            Self::ObjectAgain { name, first } => {
+                write!(
+                    f,
+                    "object `{name}` is opened again, first at {first}: both are one object to selectors, layers and Cryptomatte; rename \
+                     one if they are two things (said once per name)"
                 )
             }
             Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; closed at the end of its file"),

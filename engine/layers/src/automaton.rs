@@ -125,12 +125,12 @@ impl Automaton {
 }
 
 /// The events of all expressions, and which may follow which.
-struct Positions<'a> {
-    events: Vec<&'a Event>,
+pub(crate) struct Positions<'a> {
+    pub(crate) events: Vec<&'a Event>,
     /// Position `n`: those that may follow; `events.len() + layer`: those that a path may begin with.
-    follow: Vec<BTreeSet<usize>>,
+    pub(crate) follow: Vec<BTreeSet<usize>>,
     /// By position: the layer of which a path may end there, as a bit.
-    last: Vec<u64>,
+    pub(crate) last: Vec<u64>,
 }
 
 /// What a part of an expression begins and ends with, and whether no event at all fits it.
@@ -141,7 +141,7 @@ struct Ends {
 }
 
 impl<'a> Positions<'a> {
-    fn of(expressions: &'a [Expression]) -> Self {
+    pub(crate) fn of(expressions: &'a [Expression]) -> Self {
         let mut positions = Self { events: Vec::new(), follow: Vec::new(), last: Vec::new() };
         let ends: Vec<Ends> = expressions.iter().map(|expression| positions.walk(&expression.0)).collect();
         positions.last = vec![0; positions.events.len()];

@@ -1,6 +1,7 @@
 //! Events of a path, and what an expression asks of one.
 
 use std::collections::BTreeSet;
+use std::fmt;
 
 /// What happens at a vertex of a path, from the camera to the source. The source is the last event, and the only one of its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -91,9 +92,91 @@ impl Event {
         self.any.iter().any(fits) != self.negated
     }
 
+    /// Whether an event of this kind fits, whatever it is called.
+    pub fn admits(&self, kind: Kind) -> bool {
+        self.fits(kind, |_| true) || self.fits(kind, |_| false)
+    }
+
+    /// Kinds that fit, with the labels ignored.
+    pub fn kinds(&self) -> impl Iterator<Item = Kind> + '_ {
+        Kind::ALL.into_iter().filter(|kind| self.admits(*kind))
+    }
+
+    /// The event at what it names, of any kind.
+    pub fn of_any_kind(&self) -> Self {
+        let any = self.any.iter().map(|class| Class { kinds: ANY, ..class.clone() }).collect();
+        Self { any, negated: self.negated }
+    }
+
+    /// The labels as part of a sentence: ` at 'a'`; empty without labels.
+    pub fn place(&self) -> String {
+        let labels: Vec<String> = self.labels().map(|label| format!("'{label}'")).collect();
+        let is_negated = self.negated || self.any.iter().any(|class| matches!(class.labels, Some((_, true))));
+        match is_negated {
+            _ if labels.is_empty() => String::new(),
+            true => format!(" elsewhere than at {}", labels.join(" or ")),
+            false => format!(" at {}", labels.join(" or ")),
+        }
+    }
+
     /// The labels that it names.
     pub fn labels(&self) -> impl Iterator<Item = &str> {
         self.any.iter().filter_map(|class| class.labels.as_ref()).flat_map(|it| &it.0).map(String::as_str)
+    }
+}
+
+/// Sets of kinds that have a short form.
+const SHORT: [(&str, u16); 25] = {
+    use Kind::{
+        ReflectedDiffuse as RD, ReflectedGlossy as RG, ReflectedSpecular as RS, TransmittedDiffuse as TD,
+        TransmittedGlossy as TG, TransmittedSpecular as TS,
+    };
+    let (l, o, b) = (Kind::Light.bit(), Kind::Object.bit(), Kind::Background.bit());
+    let (r, t) = (RD.bit() | RG.bit() | RS.bit(), TD.bit() | TG.bit() | TS.bit());
+    let (d, g, s) = (RD.bit() | TD.bit(), RG.bit() | TG.bit(), RS.bit() | TS.bit());
+    [
+        (".", ANY),
+        (".", ANY & !Kind::Camera.bit()),
+        ("C", Kind::Camera.bit()),
+        ("R", r),
+        ("T", t),
+        ("[RT]", r | t),
+        ("[RTV]", r | t | Kind::Volume.bit()),
+        ("V", Kind::Volume.bit()),
+        ("L", l),
+        ("O", o),
+        ("B", b),
+        ("[LO]", l | o),
+        ("[LB]", l | b),
+        ("[OB]", o | b),
+        ("[LOB]", l | o | b),
+        ("D", d),
+        ("G", g),
+        ("S", s),
+        ("[GS]", g | s),
+        ("[DS]", d | s),
+        ("[DG]", d | g),
+        ("<R[GS]>", RG.bit() | RS.bit()),
+        ("<T[GS]>", TG.bit() | TS.bit()),
+        ("<R[DG]>", RD.bit() | RG.bit()),
+        ("<T[DG]>", TD.bit() | TG.bit()),
+    ]
+};
+
+/// A set of kinds as an expression has it.
+pub fn spelled(kinds: impl IntoIterator<Item = Kind>) -> String {
+    const ONE: [&str; Kind::ALL.len()] = ["C", "<RD>", "<RG>", "<RS>", "<TD>", "<TG>", "<TS>", "V", "L", "O", "B"];
+    let set = kinds.into_iter().fold(0, |set, kind| set | kind.bit());
+    if let Some((short, _)) = SHORT.iter().find(|(_, kinds)| *kinds == set) {
+        return (*short).to_owned();
+    }
+    let single: Vec<&str> = ONE.iter().enumerate().filter(|(at, _)| set >> at & 1 == 1).map(|(_, one)| *one).collect();
+    if let [one] = single[..] { one.to_owned() } else { format!("[{}]", single.concat()) }
+}
+
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", spelled(self.kinds()), self.place())
     }
 }
 

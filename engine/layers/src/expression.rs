@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! choice   = sequence { "|" sequence }
-//! sequence = { item [ "*" | "+" | "?" ] }
+//! sequence = { item [ "*" | "+" | "?" | "{" N [ "," M ] "}" ] }
 //! item     = event | "(" choice ")"
 //! event    = "." | LETTER | LABEL | "[" ["^"] { LETTER | LABEL | angle } "]" | angle
 //! angle    = "<" part [ part ] { LABEL | "[" ["^"] LABEL { LABEL } "]" | "." } ">"
@@ -11,8 +11,10 @@
 //! LABEL    = "'" text "'"
 //! ```
 //!
-//! The first part in angles is the type (`C R T V L O B`), the second the scattering (`D G S`). Spaces do not count.
+//! The first part in angles is the type (`C R T V L O B`), the second the scattering (`D G S`). Spaces do not count. A prefix `lpe:`, which
+//! other renderers want, is left out ([`crate::dialect`]).
 
+use crate::dialect::{self, BARE_LABEL, SCATTERING_FIRST};
 use crate::error::ExpressionError;
 use crate::event::{ANY, Class, Event, Kind};
 
@@ -41,6 +43,10 @@ pub struct Expression(pub(crate) Node);
 const LONGEST: usize = 4096;
 /// Most parentheses within each other.
 const DEEPEST: usize = 64;
+/// Most repetitions of `{n,m}`.
+const MOST_TIMES: usize = 64;
+/// Most events of an expression whose repetitions are written out.
+const MOST_EVENTS: usize = 2048;
 
 const REFLECTED: u16 = 0b111 << Kind::ReflectedDiffuse as u16;
 const TRANSMITTED: u16 = 0b111 << Kind::TransmittedDiffuse as u16;
@@ -75,16 +81,23 @@ fn scattering_of(letter: char) -> Option<u16> {
 impl Expression {
     /// Reads an expression.
     pub fn parse(text: &str) -> Result<Self, ExpressionError> {
-        let mut parser = Parser { text, chars: text.chars().collect(), at: 0, depth: 0 };
+        let mut parser = Parser { text, chars: text.chars().collect(), at: 0, depth: 0, events: 0 };
         if parser.chars.len() > LONGEST {
             parser.at = LONGEST;
             return Err(parser.expected("at most 4096 characters"));
+        }
+        match dialect::prefix(&parser.chars) {
+            Ok(length) => parser.at = length,
+            Err((at, expected)) => {
+                parser.at = at;
+                return Err(parser.expected(expected));
+            }
         }
         let node = parser.choice()?;
         match parser.peek() {
             None => Ok(Self(node)),
             Some(')') => Err(parser.expected("an event, as this parenthesis closes none")),
-            Some(_) => Err(parser.expected(EVENT)),
+            Some(_) => Err(parser.expected_event()),
         }
     }
 
@@ -115,11 +128,28 @@ struct Parser<'a> {
     chars: Vec<char>,
     at: usize,
     depth: usize,
+    /// Events so far, with repetitions written out.
+    events: usize,
+}
+
+/// Number of events of a part of an expression.
+fn events_of(node: &Node) -> usize {
+    match node {
+        Node::Event(_) => 1,
+        Node::Sequence(nodes) | Node::Choice(nodes) => nodes.iter().map(events_of).sum(),
+        Node::Any(node) | Node::Some(node) | Node::Maybe(node) => events_of(node),
+    }
 }
 
 impl Parser<'_> {
     fn expected(&self, expected: &'static str) -> ExpressionError {
         ExpressionError { expression: self.text.to_owned(), at: self.at, expected }
+    }
+
+    /// The error that an event should stand here, with advice where another renderer gives the character a meaning.
+    fn expected_event(&self) -> ExpressionError {
+        let advice = self.chars.get(self.at).and_then(|found| dialect::advice(*found));
+        self.expected(advice.unwrap_or(EVENT))
     }
 
     /// The next character that is no space.
@@ -151,16 +181,17 @@ impl Parser<'_> {
                 break;
             }
             let mut item = self.item(next)?;
-            while let Some(repeat @ ('*' | '+' | '?')) = self.peek() {
-                self.at += 1;
-                let boxed = Box::new(item);
+            while let Some(repeat @ ('*' | '+' | '?' | '{')) = self.peek() {
+                let boxed = |item| Box::new(item);
                 item = match repeat {
-                    '*' => Node::Any(boxed),
-                    '+' => Node::Some(boxed),
-                    _ => Node::Maybe(boxed),
+                    '{' => self.times(item)?,
+                    '*' => Node::Any(boxed(item)),
+                    '+' => Node::Some(boxed(item)),
+                    _ => Node::Maybe(boxed(item)),
                 };
+                self.at += 1;
                 // Each sign more is a level more for whoever walks through the tree.
-                if matches!(self.peek(), Some('*' | '+' | '?')) {
+                if matches!(self.peek(), Some('*' | '+' | '?' | '{')) {
                     return Err(self.expected("one sign of repetition for an event; use parentheses for more"));
                 }
             }
@@ -170,6 +201,40 @@ impl Parser<'_> {
             return Err(self.expected(EVENT));
         }
         Ok(if all.len() == 1 { all.remove(0) } else { Node::Sequence(all) })
+    }
+
+    /// `{n}` or `{n,m}` behind an item: written out. Ends at the closing brace.
+    fn times(&mut self, item: Node) -> Result<Node, ExpressionError> {
+        const FORM: &str = "`{n}` or `{n,m}` with n <= m, at least 1 and at most 64 times";
+        let start = self.at;
+        self.at += 1;
+        let least = self.number().ok_or_else(|| self.expected(FORM))?;
+        let most = if self.take(',') { self.number().ok_or_else(|| self.expected(FORM))? } else { least };
+        if self.peek() != Some('}') {
+            return Err(self.expected("`}`"));
+        }
+        if most == 0 || most < least || most > MOST_TIMES {
+            self.at = start;
+            return Err(self.expected(FORM));
+        }
+        self.events += (most - 1) * events_of(&item);
+        if self.events > MOST_EVENTS {
+            self.at = start;
+            return Err(
+                self.expected("fewer repetitions: an expression has at most 2048 events when they are written out")
+            );
+        }
+        let surely = std::iter::repeat_n(item.clone(), least);
+        let maybe = std::iter::repeat_n(Node::Maybe(Box::new(item)), most - least);
+        Ok(Node::Sequence(surely.chain(maybe).collect()))
+    }
+
+    /// A whole number.
+    fn number(&mut self) -> Option<usize> {
+        self.peek();
+        let digits: String = self.chars[self.at..].iter().take_while(|c| c.is_ascii_digit()).collect();
+        self.at += digits.len();
+        digits.parse().ok()
     }
 
     fn item(&mut self, next: char) -> Result<Node, ExpressionError> {
@@ -187,10 +252,16 @@ impl Parser<'_> {
                 self.depth -= 1;
                 Ok(inner)
             }
-            '[' => self.bracket().map(Node::Event),
+            '[' => {
+                self.events += 1;
+                self.bracket().map(Node::Event)
+            }
             _ => match self.class()? {
-                Some(class) => Ok(Node::Event(Event::of(class))),
-                None => Err(self.expected(EVENT)),
+                Some(class) => {
+                    self.events += 1;
+                    Ok(Node::Event(Event::of(class)))
+                }
+                None => Err(self.expected_event()),
             },
         }
     }
@@ -225,7 +296,8 @@ impl Parser<'_> {
             any.push(class);
         }
         if any.is_empty() || !self.take(']') {
-            return Err(self.expected(if any.is_empty() { EVENT } else { "an event, or `]`" }));
+            let advice = self.peek().and_then(dialect::advice);
+            return Err(self.expected(advice.unwrap_or(if any.is_empty() { EVENT } else { "an event, or `]`" })));
         }
         Ok(Event { any, negated })
     }
@@ -233,9 +305,13 @@ impl Parser<'_> {
     /// `<type scattering 'label'>`
     fn angle(&mut self) -> Result<Class, ExpressionError> {
         self.at += 1;
-        let kinds = self.part(type_of, "a type: `.`, one of C R T V L O B, or some of them in brackets")?;
-        let kinds =
-            kinds.ok_or_else(|| self.expected("a type: `.`, one of C R T V L O B, or some of them in brackets"))?;
+        const TYPE: &str = "a type: `.`, one of C R T V L O B, or some of them in brackets";
+        let kinds = self.part(type_of, TYPE)?;
+        let kinds = kinds.ok_or_else(|| match self.peek() {
+            Some(found) if scattering_of(found).is_some() => self.expected(SCATTERING_FIRST),
+            Some(found) => self.expected(dialect::advice(found).unwrap_or(TYPE)),
+            None => self.expected(TYPE),
+        })?;
         let start = self.at;
         let scattering = "a scattering (`.`, one of D G S, or some of them in brackets), a label in quotes, or `>`";
         let kinds = match self.part(scattering_of, scattering)? {
@@ -267,7 +343,17 @@ impl Parser<'_> {
             _ => None,
         };
         if !self.take('>') {
-            return Err(self.expected(if labels.is_some() { "`>`" } else { "a label in quotes, or `>`" }));
+            let advice = match self.peek() {
+                Some(found) if found.is_alphanumeric() && type_of(found).is_none() => {
+                    let is_word =
+                        self.chars.get(self.at + 1).is_some_and(|next| next.is_alphanumeric() || *next == '.');
+                    if is_word { Some(BARE_LABEL) } else { dialect::advice(found) }
+                }
+                Some(found) => dialect::advice(found),
+                None => None,
+            };
+            let plain = if labels.is_some() { "`>`" } else { "a label in quotes, or `>`" };
+            return Err(self.expected(advice.unwrap_or(plain)));
         }
         Ok(Class { kinds, labels })
     }

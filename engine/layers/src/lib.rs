@@ -10,6 +10,8 @@
 
 mod automaton;
 pub mod cryptomatte;
+mod darkness;
+mod dialect;
 mod error;
 mod event;
 mod expression;
@@ -18,8 +20,9 @@ mod layer;
 mod preset;
 
 pub use automaton::{Automaton, DEAD, Labels, NO_LAYERS, State, Symbol, Takers};
+pub use darkness::{Darkness, darkness};
 pub use error::{ExpressionError, LayerError};
-pub use event::{Event, Kind, LabelSet, Vocabulary};
+pub use event::{Event, Kind, LabelSet, Vocabulary, spelled};
 pub use expression::{Expression, Node};
 pub use feature::Feature;
 pub use layer::{Layer, MOST_LAYERS, parse_all};

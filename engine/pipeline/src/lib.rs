@@ -33,8 +33,8 @@ pub use first_pass::{OtherWorld, brightened, encode_solution, first_pass, first_
 pub use first_pass_steps::{aim, begin, blocks_of, first_pass_blocks, in_blocks, settle, surfaces};
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use layers::{
-    FeaturePlan, LayerPlan, feature_channels, feature_layout, feature_mattes, lamp_labels, render_beside,
-    render_with_layers,
+    DarkLayer, FeaturePlan, LayerPlan, dark_layers, feature_channels, feature_layout, feature_mattes, lamp_labels,
+    merged_names, render_beside, render_with_layers,
 };
 pub use plan::{FIRST_PASS, LeftOut, Plan, PlanError, plan};
 pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, prepare_world, render_tile};

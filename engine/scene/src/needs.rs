@@ -105,10 +105,29 @@ impl Scene {
     }
 
     /// The largest value that `field` of an entity takes: `now`, or a key of its `vary`.
-    pub(crate) fn largest(&self, entity: &str, field: &str, now: f64) -> f64 {
+    pub fn largest(&self, entity: &str, field: &str, now: f64) -> f64 {
         let selector = format!("{entity}.{field}");
         let varies = self.varies.iter().filter(|vary| vary.selector == selector);
         varies.flat_map(|vary| vary.keys.iter().map(|key| key.1)).fold(now, f64::max)
+    }
+
+    /// Whether nothing emits light at any time: surfaces that are shown, luminaires, media. Every picture of such a scene is black.
+    pub fn is_dark(&self) -> bool {
+        let most = |kind: &str, name: &str, field: &str, now: f64| self.largest(&format!("{kind}.{name}"), field, now);
+        let is_black = |material: &Material| material.ed.color.iter().all(|channel| *channel <= 0.0);
+        let emits = |it: &&Material| most("material", &it.name, "ed", it.ed.amount) > 0.0 && !is_black(it);
+        let (hidden, blinking) = (crate::objects::hidden_objects(&self.objects), self.blinking_objects());
+        let is_shown = |object: crate::ObjectId| !hidden[object.index()] || blinking[object.index()];
+        let multipliers_vary = self.varies.iter().any(|vary| vary.selector.ends_with(".multiplier"));
+        let shines = |it: &&crate::Luminaire| {
+            let candela =
+                self.photometry.get(it.photometry.index()).map(|file| file.candela.iter().any(|cd| *cd > 0.0));
+            it.object.is_none_or(is_shown) && (multipliers_vary || it.multiplier > 0.0 && candela == Some(true))
+        };
+        let placed = self.groups.iter().zip(self.placed_groups()).filter(|(_, placed)| *placed);
+        !self.materials_shown().iter().any(emits)
+            && !placed.flat_map(|(group, _)| &group.luminaires).any(|it| shines(&it))
+            && !self.media.iter().any(|it| most("medium", &it.name, "glow", it.glow) > 0.0)
     }
 
     fn without_media(&self, shown: &[&Material]) -> Option<String> {

@@ -2,7 +2,7 @@
 
 use crate::output::{Say, human};
 use crate::request::shown;
-use femc_emission::{IntensityDistribution, PhotometryKind};
+use femc_emission::{IntensityDistribution, PhotometryError, PhotometryKind};
 use femc_import::ScenePath;
 use femc_scene::{LampKind, Photometry, PhotometryType, Scene, survey};
 use serde::Serialize;
@@ -96,13 +96,17 @@ impl Contents {
 
 /// Luminous flux of a photometric file as the renderer reads it, lm.
 fn flux(photometry: &Photometry) -> f64 {
+    table_of(photometry).map_or(0.0, |table| table.flux())
+}
+
+/// The intensities of a photometric file as the renderer reads them.
+pub fn table_of(photometry: &Photometry) -> Result<IntensityDistribution, PhotometryError> {
     let kind = match photometry.kind {
         PhotometryType::A => PhotometryKind::A,
         PhotometryType::B => PhotometryKind::B,
         PhotometryType::C => PhotometryKind::C,
     };
-    let table = IntensityDistribution::new(kind, &photometry.vertical, &photometry.horizontal, &photometry.candela);
-    table.map_or(0.0, |table| table.flux())
+    IntensityDistribution::new(kind, &photometry.vertical, &photometry.horizontal, &photometry.candela)
 }
 
 /// A length without decimals that say nothing.

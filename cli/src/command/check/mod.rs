@@ -2,14 +2,15 @@
 
 mod contents;
 mod faults;
+mod refusals;
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure};
+use crate::output::faults::{self as output, Detail, Kind, Line};
 use crate::output::{Say, human, json};
 use crate::request::locate;
 use clap::Args;
 use contents::Contents;
-use faults::{Kind, Line};
 use femc_import::ImportErrors;
 use femc_scene::check::Severity;
 use serde::Serialize;
@@ -57,7 +58,7 @@ impl Report {
             errors: count(Severity::Error),
             warnings: count(Severity::Warning),
             notes: count(Severity::Note),
-            kinds: faults::kinds(&faults),
+            kinds: output::kinds(&faults),
             faults,
             contents,
         }
@@ -69,8 +70,9 @@ pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
     let root = locate(&args.scene, args.root.as_deref())?;
     let (report, imported) = match root.load_or_list() {
         Ok(loaded) => {
-            let report = Report::new(args, faults::lines(&root, &loaded), Contents::of(&loaded.scene, &root));
-            (report, Imported::Whole)
+            let mut lines = faults::lines(&root, &loaded);
+            lines.extend(refusals::refusals(&root, &loaded.scene));
+            (Report::new(args, lines, Contents::of(&loaded.scene, &root)), Imported::Whole)
         }
         Err(ImportErrors { errors, complete }) => {
             let lines = errors.iter().map(|error| faults::unreadable(&root, error)).collect();
@@ -98,7 +100,7 @@ enum Imported {
 }
 
 fn print(say: Say, report: &Report, all: bool, imported: Imported) {
-    faults::print(say, &report.faults, all);
+    output::print(say, &report.faults, if all { Detail::All } else { Detail::Kinds });
     if say.quiet() {
         return;
     }

@@ -83,7 +83,10 @@ pub struct RenderArgs {
 pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
     let style = args.painting.style()?;
-    if style.is_some() {
+    if let Some(style) = &style {
+        if let (Some(paper), Some(path)) = (style.paper(), &args.painting.style) {
+            say.warning(format!("--style {}: {paper}", path.display()));
+        }
         ask_for_layers(&mut args.settings);
     }
     args.extras.check()?;

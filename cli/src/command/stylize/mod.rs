@@ -104,6 +104,9 @@ pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
     let targets = targets(&args.target)?;
     let outputs = args.outputs(&targets)?;
     let style = Style::read(&args.style, args.source.as_deref())?;
+    if let Some(paper) = style.paper() {
+        say.warning(format!("--style {}: {paper}", args.style.display()));
+    }
     let (settings, threads) = (args.settings(), args.threads.unwrap_or(0));
     let curve = common_curve(args.exposure, &targets)?;
     let order = Order { style: &style, guides: &args.guides, curve, settings, threads };
@@ -155,7 +158,7 @@ impl Order<'_> {
     pub fn paint(&self, targets: &[PathBuf], outputs: &[PathBuf], part: &Path, say: Say) -> Result<Painted, Failure> {
         let (clock, progress) = (Clock, Mutex::new(Progress::new(say, Clock)));
         let started = clock.now();
-        let Style { painting, source, source_path } = self.style;
+        let Style { painting, source, source_path, .. } = self.style;
         let first = guide_frame("--target", &targets[0])?;
         let names = match self.guides {
             [] => frames::common(source, &first).map_err(|error| told(&error, &targets[0]))?,

@@ -95,6 +95,7 @@ impl Work {
             (asked.priority, asked.tags) = (job.priority, job.tags.clone());
             // All variants have one method: they are there to be compared.
             if work.is_none() {
+                asked.warn(say);
                 asked = asked.decided()?;
                 asked.explain(say);
                 if asked.plan.method == femc_pipeline::Method::Femc {

@@ -181,6 +181,11 @@ pub struct Ran {
 }
 
 impl Ran {
+    /// A run of a command that was put together by hand.
+    pub fn new(line: &str, output: Output) -> Self {
+        Self { line: line.to_owned(), output }
+    }
+
     pub fn code(&self) -> Option<i32> {
         self.output.status.code()
     }

@@ -75,6 +75,13 @@ fn account(bad: &BadSamples) -> String {
     }
 }
 
+/// Most bytes of a name in a file without long names, and in one with them.
+const MOST_OF_SHORT_NAME: usize = 31;
+const MOST_OF_NAME: usize = 255;
+/// Byte of the file with the first flags behind the version, and among them the bit of long names (bit 10 of the word).
+const FLAGS: usize = 5;
+const LONG_NAMES: u8 = 1 << 2;
+
 /// Value of `relative_error.Y` in a block that has met no light.
 pub const UNLIT: f32 = -1.0;
 
@@ -126,6 +133,14 @@ pub(super) fn encode_channels(
     channels: Vec<AnyChannel<FlatSamples>>,
     texts: Vec<(String, String)>,
 ) -> Result<Vec<u8>, FilmError> {
+    let names: Vec<Text> = channels.iter().map(|channel| channel.name.clone()).collect();
+    if let Some(name) = names.iter().find(|name| name.as_slice().len() > MOST_OF_NAME) {
+        return Err(failed(format!(
+            "the channel `{name}` has a name of {} bytes, and the format allows {MOST_OF_NAME}; give the layer a shorter name",
+            name.as_slice().len()
+        )));
+    }
+    let has_long_names = names.iter().any(|name| name.as_slice().len() > MOST_OF_SHORT_NAME);
     let mut attributes = LayerAttributes { white_luminance: Some(1.0), ..LayerAttributes::default() };
     for (name, value) in texts {
         // UTF-8, as OpenEXR has it; the crate's own conversion would refuse what is not Latin-1.
@@ -151,6 +166,10 @@ pub(super) fn encode_channels(
     };
     written.map_err(|e| failed(e.to_string()))?;
     let mut bytes = bytes.into_inner();
+    // The `exr` crate looks at the names of attributes alone, and other programs read names of channels by this flag.
+    if let (true, Some(flags)) = (has_long_names, bytes.get_mut(FLAGS)) {
+        *flags |= LONG_NAMES;
+    }
     sort_attributes(&mut bytes).ok_or_else(|| failed("header of an unknown form".into()))?;
     Ok(bytes)
 }

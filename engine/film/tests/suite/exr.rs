@@ -199,3 +199,34 @@ fn a_missing_file_is_named() {
     let error = film_exr::read(std::path::Path::new("no/such.exr")).unwrap_err();
     assert!(error.to_string().starts_with("no/such.exr: "), "{error}");
 }
+
+/// Whether a file says that it has names of more than 31 bytes: bit 10 of the second word.
+fn says_long_names(file: &[u8]) -> bool {
+    u32::from_le_bytes(file[4..8].try_into().unwrap()) & 0x400 != 0
+}
+
+#[test]
+fn a_file_says_that_it_has_long_names_if_and_only_if_a_channel_has_one() {
+    let values = [1.0, 2.0];
+    let file = |name: &str| {
+        let channel = film_exr::NamedChannel { name, values: &values, precision: film_exr::Precision::Float };
+        film_exr::encode_named([2, 1], &[channel], &std::collections::BTreeMap::new())
+    };
+    for length in 1..=255 {
+        let name = "n".repeat(length);
+        let bytes = file(&name).unwrap();
+        assert_eq!(says_long_names(&bytes), length > 31, "{length} bytes");
+        assert_eq!(bytes[4], 2, "the version");
+        let (_, _, [back]) = film_exr::decode_channels(Cursor::new(&bytes), [name.as_str()]).unwrap();
+        assert_eq!(back, values, "{length} bytes");
+    }
+    let error = file(&"n".repeat(256)).unwrap_err().to_string();
+    assert!(error.contains("a name of 256 bytes") && error.contains("255"), "{error}");
+    // A layer's longest name is 64 bytes, and its variance has 11 more.
+    for (name, is_long) in [("a".repeat(20), false), ("a".repeat(21), true), ("a".repeat(64), true)] {
+        let image = frame(4, 4);
+        let layer = femc_film::LayerImage { name, color: image.albedo.clone(), variance: image.variance.clone() };
+        let bytes = film_exr::encode_layers(&image, &[layer], &[], &[], &provenance()).unwrap();
+        assert_eq!(says_long_names(&bytes), is_long);
+    }
+}

@@ -1,5 +1,7 @@
 //! The automaton against a matcher of its own kind: Brzozowski's derivatives of the expression's tree, an event at a time.
 
+mod dialect;
+
 use femc_layers::{
     Automaton, DEAD, Expression, Kind, LabelSet, Layer, LayerError, NO_LAYERS, Node, Preset, Symbol, Vocabulary,
 };

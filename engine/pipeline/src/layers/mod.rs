@@ -10,10 +10,14 @@
 //! - a lamp, however it was found: `L`; a medium that glows: `O`. There is no background, `B`;
 //! - surfaces that light goes straight through: none, since the way to a lamp leads through them, too.
 
+mod dark;
 mod features;
+mod merged;
 mod recorder;
 
+pub use dark::{DarkLayer, dark_layers};
 pub use features::{FeaturePlan, feature_channels, feature_layout, feature_mattes, render_beside};
+pub use merged::merged_names;
 
 use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::settings::Settings;

@@ -103,7 +103,7 @@ fn settings(layers: Vec<Layer>, method: Method) -> Settings {
     Settings { stop: Stop::Spp(8), method, layers, ..Settings::default() }
 }
 
-fn scene(text: &str) -> Scene {
+pub fn scene(text: &str) -> Scene {
     let files = BTreeMap::from([("room.mgf".to_owned(), text.as_bytes().to_vec())]);
     load(&Bundle(files), "room.mgf").unwrap_or_else(|e| panic!("{e}")).scene
 }
@@ -112,6 +112,24 @@ fn world(text: &str, settings: &Settings) -> Prepared {
     let source = Source::new(Arc::new(scene(text)));
     plan(source.scene(), settings, None).unwrap_or_else(|e| panic!("{e}"));
     prepare(&source, settings, 1, None).unwrap()
+}
+
+/// Whether each layer of a frame of a scene has light.
+pub fn rendered_colors(text: &str, settings: &Settings, frame: u32) -> Vec<bool> {
+    let source = Source::new(Arc::new(scene(text)));
+    let prepared = prepare(&source, settings, frame, None).unwrap();
+    let [width, height] = prepared.camera.film;
+    let (tiling, rect) = (Tiling::new(width, height, 64).unwrap(), Rect { x: 0, y: 0, width, height });
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let plan = LayerPlan::of(&prepared, settings).unwrap();
+    let Stop::Spp(samples) = settings.stop else { panic!("a number of samples") };
+    let (_, layers, _) =
+        render_with_layers(&prepared, settings, &plan, None, rect, 0..samples, &cancel, &progress).unwrap();
+    let mut piece = LayerPiece::new(tiling, 0);
+    piece.put(&layers, OPEN).unwrap();
+    let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);
+    LayerImage::put(&mut images, &piece).unwrap();
+    images.iter().map(|image| image.color.iter().any(|color| *color != [0.0; 3])).collect()
 }
 
 fn lamps(prepared: &Prepared) -> Vec<String> {

@@ -1,5 +1,6 @@
 //! The pipeline on small scenes.
 
+mod dark_layers;
 mod features;
 mod layers;
 mod statistics;

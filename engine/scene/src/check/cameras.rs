@@ -38,6 +38,10 @@ fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
         faults.add(Error, CameraFault, location, message, "move the target or turn `up`");
         return;
     }
+    if let Some(frame) = blind_frame(scope, camera) {
+        let message = format!("camera `{name}` looks along its up direction or at its own origin in frame {frame}");
+        faults.add(Error, CameraFault, location, message, "change its path, or turn `up`");
+    }
     if camera.shutter_open > camera.shutter_close {
         let message = format!("the shutter of camera `{name}` closes before it opens");
         faults.add(Error, CameraFault, location, message, "give the earlier fraction first");
@@ -54,6 +58,22 @@ fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
             faults.add(Warning, Scale, location, message, "check the units of its origin");
         }
     }
+}
+
+/// Most frames whose views are looked at.
+const FRAMES: u32 = 100_000;
+
+/// The first frame in which a camera on a path has no view.
+fn blind_frame(scope: &Scope<'_>, camera: &Camera) -> Option<u32> {
+    let (scene, clip) = (scope.scene, scope.scene.clip?);
+    if !camera.is_animated(&scene.paths) {
+        return None;
+    }
+    (1..=scene.frame_count().min(FRAMES)).find(|frame| {
+        let at = camera.at(&scene.paths, clip.start + f64::from(frame - 1) / clip.fps);
+        let view = at.target - at.origin;
+        view.cross(at.up).length() <= 1e-12 * view.length() * at.up.length()
+    })
 }
 
 /// A length for people.

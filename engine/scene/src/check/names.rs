@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     unused_materials(scope, faults);
     unused_paths(scope, faults);
+    default_names(scope, faults);
     let scene = scope.scene;
     duplicates(scope, faults, "camera", scene.cameras.iter().map(|camera| (&*camera.name, camera.location)));
     duplicates(scope, faults, "medium", scene.media.iter().map(|medium| (&*medium.name, medium.location)));
@@ -26,6 +27,43 @@ fn unused_materials(scope: &Scope<'_>, faults: &mut Faults) {
     for (name, (location, _)) in named.into_iter().filter(|(_, (_, used))| !used) {
         let message = format!("material `{name}` is on no surface");
         faults.add(Note, UnusedName, location, message, "use it or remove it, unless it is a template");
+    }
+}
+
+/// Name that things without a name have in a Cryptomatte, by its convention.
+const UNNAMED: &str = "default";
+
+/// An object called `default` beside what is in no object, and a material of that name beside the unnamed one.
+fn default_names(scope: &Scope<'_>, faults: &mut Faults) {
+    let scene = scope.scene;
+    let surfaces = || {
+        let faces = scene
+            .groups
+            .iter()
+            .flat_map(|group| group.faces.iter().map(|face| (face.object, face.material, face.location)));
+        faces.chain(
+            scene.groups.iter().flat_map(|group| group.quadrics.iter().map(|it| (it.object, it.material, it.location))),
+        )
+    };
+    let named = scene.objects.iter().position(|object| object.name == UNNAMED);
+    let first = surfaces().filter(|(object, ..)| object.map(crate::ObjectId::index) == named).map(|it| it.2).min();
+    if let (Some(_), Some(location), true) = (named, first, surfaces().any(|(object, ..)| object.is_none())) {
+        let message =
+            format!("object `{UNNAMED}` has the Cryptomatte id of what is in no object: both are picked as one");
+        faults.add(Warning, DuplicateName, location, message, "rename it, or put everything into objects");
+    }
+    let unnamed = surfaces().any(|(_, id, _)| scene.materials.get(id.index()).is_some_and(|it| it.name.is_empty()));
+    let used = scene.materials.iter().zip(&scope.used).find(|(material, used)| **used && material.name == UNNAMED);
+    if let (Some((material, _)), true) = (used, unnamed) {
+        let message =
+            format!("material `{UNNAMED}` has the Cryptomatte id of the unnamed material: both are picked as one");
+        faults.add(
+            Warning,
+            DuplicateName,
+            material.location,
+            message,
+            "rename it, or give every surface a named material",
+        );
     }
 }
 

@@ -4,7 +4,7 @@ use super::{
     args::{Args, Result},
     reader::Reader,
 };
-use crate::{Fault, Oddity};
+use crate::{Fault, Oddity, Position};
 use femc_scene::{Object, ObjectId};
 
 /// Most nested objects.
@@ -32,16 +32,29 @@ impl Reader<'_> {
             return Err(args.fault(Fault::ObjectDepth { limit: MAX_DEPTH }));
         }
         let id = match self.object_ids.get(&name) {
-            Some(&id) => id,
+            Some(&id) => {
+                self.opened_again(id, args.at());
+                id
+            }
             None => {
                 let id = ObjectId(self.scene.objects.len() as u32);
                 self.scene.objects.push(Object { name: name.clone(), parent, hidden: false });
                 self.object_ids.insert(name, id);
+                self.object_places.push(Some(args.at()));
                 id
             }
         };
         self.objects.push((id, args.at()));
         Ok(())
+    }
+
+    /// Warns of a name that two places of the scene give, once. Copies by an array or by an include that stands twice are opened in one place.
+    fn opened_again(&mut self, id: ObjectId, at: Position) {
+        let Some(place) = self.object_places.get_mut(id.index()) else { return };
+        if let Some(first) = place.take_if(|first| (&first.file, first.line) != (&at.file, at.line)) {
+            let name = self.scene.objects[id.index()].name.clone();
+            self.warnings.push(at, Oddity::ObjectAgain { name, first });
+        }
     }
 
     /// The innermost open object.

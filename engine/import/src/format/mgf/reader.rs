@@ -80,6 +80,8 @@ pub(super) struct Reader<'f> {
 
     pub objects: Vec<(ObjectId, Position)>,
     pub object_ids: HashMap<String, ObjectId>,
+    /// By object the place that opened it first; `None` once it is known that another place opens it, too.
+    pub object_places: Vec<Option<Position>>,
     pub frames: Vec<Frame>,
     pub frame_ids: u32,
     /// The group that surfaces go into.
@@ -138,6 +140,7 @@ impl<'f> Reader<'f> {
             faulty_paths: HashSet::new(),
             objects: Vec::new(),
             object_ids: HashMap::new(),
+            object_places: Vec::new(),
             frames: vec![Frame::world()],
             frame_ids: 0,
             group: GroupId(0),

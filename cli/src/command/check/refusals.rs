@@ -1,0 +1,56 @@
+//! Reasons for which `femc render` and `femc submit` would refuse the scene, whatever their settings: the same plan is made here.
+
+use super::contents::table_of;
+use crate::output::faults::Line;
+use crate::request::shown;
+use femc_import::ScenePath;
+use femc_pipeline::{PlanError, PrepareError, Settings, plan};
+use femc_scene::{Location, Scene, Severity};
+use std::collections::BTreeSet;
+
+/// An error for each camera that no frame can be planned for, for a scene without a camera, and for photometry that no lamp can have.
+pub fn refusals(root: &ScenePath, scene: &Scene) -> Vec<Line> {
+    let line = |location: Location, kind: &str, message: String, advice: &str| {
+        let file = scene.files.get(location.file as usize).map_or("", String::as_str);
+        let (kind, advice) = (kind.to_owned(), advice.to_owned());
+        Line {
+            severity: Severity::Error,
+            kind,
+            file: shown(root, file),
+            line: location.line,
+            column: None,
+            message,
+            advice,
+        }
+    };
+    let whole = Location { file: 0, line: 1, column: 0 };
+    let settings = |camera: Option<&str>| Settings { camera: camera.map(str::to_owned), ..Settings::default() };
+    let refused = |camera: Option<&str>| plan(scene, &settings(camera), None).err();
+    let mut all = Vec::new();
+    if scene.cameras.is_empty() {
+        all.extend(refused(None).map(|error| line(whole, "camera", error.to_string(), "")));
+    }
+    for camera in &scene.cameras {
+        let advice = match refused(Some(&camera.name)) {
+            None => continue,
+            Some(PlanError::Film(error)) => {
+                (error.to_string(), "give it a smaller `film`, or `--size` for each render")
+            }
+            // The check of motion says so, with its place.
+            Some(PlanError::NoFrames { .. } | PlanError::Camera(PrepareError::Selector(_))) => continue,
+            Some(error) => (error.to_string(), ""),
+        };
+        let (error, advice) = advice;
+        all.push(line(camera.location, "camera", format!("camera `{}`: {error}", camera.name), advice));
+    }
+    let luminaires = scene.groups.iter().flat_map(|group| &group.luminaires);
+    let mut seen = BTreeSet::new();
+    for luminaire in luminaires.filter(|luminaire| seen.insert(luminaire.photometry)) {
+        let Some(photometry) = scene.photometry.get(luminaire.photometry.index()) else { continue };
+        if let Err(error) = table_of(photometry) {
+            let message = format!("the photometry of `{}` cannot be used: {error}", photometry.path);
+            all.push(line(luminaire.location, "photometry", message, "repair the file, or take another lamp"));
+        }
+    }
+    all
+}

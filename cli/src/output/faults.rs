@@ -1,0 +1,141 @@
+//! Faults of a scene, one by one and by kinds: the same words in `femc check` and in front of a render.
+
+use super::{Say, human};
+use femc_scene::check::Severity;
+use serde::Serialize;
+
+/// Places that a line names besides the first.
+const PLACES: usize = 3;
+
+/// Kind of the errors of a scene that cannot be imported.
+pub const IMPORT: &str = "import";
+
+/// A fault.
+#[derive(Serialize)]
+pub struct Line {
+    /// How bad.
+    pub severity: Severity,
+    /// Kind, in the words of `--json`.
+    pub kind: String,
+    /// File, as it is reached from here.
+    pub file: String,
+    /// Line, from 1; 0: the file as a whole.
+    pub line: u32,
+    /// Column of an error of the import, from 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub column: Option<u32>,
+    /// What is wrong.
+    pub message: String,
+    /// What to do about it.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub advice: String,
+}
+
+impl Line {
+    fn place(&self) -> String {
+        match (self.line, self.column) {
+            (0, _) => self.file.clone(),
+            (line, None) => format!("{}:{line}", self.file),
+            (line, Some(column)) => format!("{}:{line}:{column}", self.file),
+        }
+    }
+}
+
+/// Faults of one severity and kind.
+#[derive(Serialize)]
+pub struct Kind {
+    /// How bad.
+    pub severity: Severity,
+    /// Kind.
+    pub kind: String,
+    /// How many.
+    pub count: usize,
+    /// The first places, `file:line`.
+    pub places: Vec<String>,
+}
+
+/// The lines of each severity and kind, errors first, else in order of their first places.
+fn groups(lines: &[Line]) -> Vec<Vec<&Line>> {
+    let mut groups: Vec<Vec<&Line>> = Vec::new();
+    for line in lines {
+        match groups.iter_mut().find(|group| (group[0].severity, &group[0].kind) == (line.severity, &line.kind)) {
+            Some(group) => group.push(line),
+            None => groups.push(vec![line]),
+        }
+    }
+    groups.sort_by_key(|group| group[0].severity);
+    groups
+}
+
+/// The kinds, with counts and first places.
+pub fn kinds(lines: &[Line]) -> Vec<Kind> {
+    let kind = |group: Vec<&Line>| Kind {
+        severity: group[0].severity,
+        kind: group[0].kind.clone(),
+        count: group.len(),
+        places: group.iter().take(1 + PLACES).map(|line| line.place()).collect(),
+    };
+    groups(lines).into_iter().map(kind).collect()
+}
+
+/// Which lines are printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// A line for each kind.
+    Kinds,
+    /// A line for each fault.
+    All,
+}
+
+/// The faults as a list on stdout.
+pub fn print(say: Say, lines: &[Line], detail: Detail) {
+    // Each error of the import is a fault of its own.
+    let detail = if lines.iter().any(|line| line.kind == IMPORT) { Detail::All } else { detail };
+    let groups = match detail {
+        Detail::All => lines.iter().map(|line| vec![line]).collect(),
+        Detail::Kinds => groups(lines),
+    };
+    for group in groups {
+        let severity = group[0].severity;
+        if say.quiet() && severity != Severity::Error {
+            continue;
+        }
+        let label = severity.to_string();
+        let label = match severity {
+            Severity::Error => say.bad(&label),
+            Severity::Warning => say.doubtful(&label),
+            Severity::Note => label,
+        };
+        say.result(format!("{}: {label}: {}", group[0].place(), told(&group, "--all lists them")));
+    }
+}
+
+/// The faults on stderr, in front of something else that is done: a line for each kind.
+/// - `scene`: the file that `femc check` takes.
+pub fn remark(say: Say, lines: &[Line], scene: &str) {
+    let more = format!("`femc check {scene} --all` lists them");
+    for group in groups(lines) {
+        say.note(format!("{}: {}: {}", group[0].severity, group[0].place(), told(&group, &more)));
+    }
+}
+
+/// The first fault of a kind, the number of faults, and places of others.
+/// - `more`: what shows the places that are left out.
+fn told(group: &[&Line], more: &str) -> String {
+    let Line { kind, message, advice, .. } = group[0];
+    let advice = if advice.is_empty() { String::new() } else { format!("; {advice}") };
+    let times = if group.len() > 1 { format!("{} ({kind}), the first: ", group.len()) } else { String::new() };
+    format!("{times}{message}{advice}{}", others(group, more))
+}
+
+/// Places of a kind besides the first.
+fn others(group: &[&Line], left_out: &str) -> String {
+    let mut places: Vec<String> = group.iter().map(|line| line.place()).collect();
+    places.dedup();
+    let named = places.iter().skip(1).take(PLACES).cloned().collect::<Vec<_>>().join(", ");
+    match places.len().saturating_sub(1 + PLACES) {
+        _ if named.is_empty() => String::new(),
+        0 => format!(" (also at {named})"),
+        more => format!(" (also at {named} and {}; {left_out})", human::count(more as u64, "more place")),
+    }
+}

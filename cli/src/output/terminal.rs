@@ -1,0 +1,86 @@
+//! Text for a terminal. Names in scenes, jobs and logs are written by others: control characters in them are shown, not obeyed.
+
+use femc_reports::human;
+use std::hash::{BuildHasher as _, RandomState};
+use std::sync::LazyLock;
+
+/// The few styles in use.
+#[derive(Clone, Copy, Debug)]
+pub enum Style {
+    Red,
+    Yellow,
+    Bold,
+}
+
+/// Begins a change of style within a text, followed by a letter. Nobody else can write it: it differs from process to process.
+static MARK: LazyLock<String> = LazyLock::new(|| format!("\u{1b}<{:016x}>", RandomState::new().hash_one("style")));
+
+/// The end of a style.
+const PLAIN: char = '-';
+
+impl Style {
+    /// Letters of the styles, and the sequences that a terminal obeys.
+    const ALL: [(char, &'static str); 4] =
+        [('r', "\x1b[1;31m"), ('y', "\x1b[1;33m"), ('b', "\x1b[1m"), (PLAIN, "\x1b[0m")];
+
+    /// The text in this style, for [`obeyed`]; as it is without colors.
+    pub fn paint(self, text: &str, colored: bool) -> String {
+        let letter = match self {
+            Self::Red => 'r',
+            Self::Yellow => 'y',
+            Self::Bold => 'b',
+        };
+        if colored { format!("{mark}{letter}{text}{mark}{PLAIN}", mark = *MARK) } else { text.to_owned() }
+    }
+}
+
+/// The text as a terminal is to have it: styles become sequences, every other control character is shown instead of obeyed.
+pub fn obeyed(text: &str) -> String {
+    let mut parts = text.split(MARK.as_str());
+    let mut all = human::inert(parts.next().unwrap_or_default());
+    for part in parts {
+        let style = Style::ALL.iter().find(|(letter, _)| part.starts_with(*letter));
+        match style {
+            Some((letter, sequence)) => {
+                all += sequence;
+                all += &human::inert(&part[letter.len_utf8()..]);
+            }
+            None => all += &human::inert(part),
+        }
+    }
+    all
+}
+
+/// JSON with every character that a terminal obeys as `\uXXXX`, the same document: such characters are in strings alone.
+pub fn json(text: &str) -> String {
+    text.chars().fold(String::with_capacity(text.len()), |mut all, c| {
+        if human::steers(c) && c != '\n' {
+            let mut units = [0; 2];
+            c.encode_utf16(&mut units).iter().for_each(|unit| all += &format!("\\u{unit:04x}"));
+        } else {
+            all.push(c);
+        }
+        all
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn styles_are_obeyed_and_what_stands_in_a_text_is_not() {
+        let text = format!("{}: a\u{1b}[31m\u{7}", Style::Red.paint("err\u{9b}or", true));
+        assert_eq!(obeyed(&text), "\x1b[1;31merr\\u{9b}or\x1b[0m: a\\u{1b}[31m\\u{7}");
+        assert_eq!(Style::Red.paint("error", false), "error");
+        assert_eq!(obeyed("two\nlines"), "two\nlines");
+    }
+
+    #[test]
+    fn json_keeps_its_meaning() {
+        let value = serde_json::json!({ "name": "a\u{7f}\u{9b}\u{202e}\u{1b}b\"ü" });
+        let text = json(&serde_json::to_string_pretty(&value).expect("JSON"));
+        assert!(text.chars().all(|c| !human::steers(c) || c == '\n'), "{text:?}");
+        assert_eq!(serde_json::from_str::<serde_json::Value>(&text).expect("JSON"), value);
+    }
+}

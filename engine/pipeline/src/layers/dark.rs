@@ -1,0 +1,228 @@
+//! Layers that stay black: whose paths need an event that nothing in the scene makes.
+//!
+//! What a scene can make is told from its description: the scattering of materials that are shown at some time, media that are placed,
+//! what emits. Where a scalar varies, all that it may become counts. More is told than happens (a surface that no light reaches counts),
+//! never less, so that a layer that is named here has no light in any frame.
+
+use crate::settings::Settings;
+use femc_layers::{Darkness, Event, Expression, Kind, LabelSet, Vocabulary, darkness, parse_all, spelled};
+use femc_scattering::microfacet::SMOOTH_ALPHA;
+use femc_scene::objects::hidden_objects;
+use femc_scene::{Material, MediumId, ObjectId, Scene, Sides};
+use std::collections::BTreeSet;
+use std::fmt;
+
+/// A layer that no light of the scene can reach.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DarkLayer {
+    /// Name of the layer.
+    pub layer: String,
+    /// Reason.
+    pub reason: String,
+}
+
+impl fmt::Display for DarkLayer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "layer `{}` stays black: {}", self.layer, self.reason)
+    }
+}
+
+/// Layers of the settings that stay black in every frame of the scene, whose overrides are applied.
+pub fn dark_layers(scene: &Scene, settings: &Settings) -> Vec<DarkLayer> {
+    let Ok(expressions) = parse_all(&settings.layers) else { return Vec::new() };
+    let longest = (settings.max_depth > 0).then_some(settings.max_depth as usize);
+    let makers = Makers::of(scene);
+    let dark = settings.layers.iter().zip(&expressions).filter_map(|(layer, expression)| {
+        let reason = reason(&makers, expression, longest)?;
+        Some(DarkLayer { layer: layer.name.clone(), reason })
+    });
+    dark.collect()
+}
+
+fn reason(makers: &Makers<'_>, expression: &Expression, longest: Option<usize>) -> Option<String> {
+    let events = expression.events();
+    let vocabulary = Vocabulary::of(events.iter().flat_map(|event| event.labels()))?;
+    let made = makers.symbols(&vocabulary);
+    Some(match darkness(expression, &vocabulary, &made, longest)? {
+        Darkness::NoCamera => "a path begins at the camera; begin the expression with `C`".into(),
+        Darkness::NoSource => {
+            "a path ends at its only source of light; end the expression with `L`, `[LOB]` or `.*`".into()
+        }
+        Darkness::TooLong(segments) => format!(
+            "its shortest path has {segments} segments, and --max-depth allows {}; raise --max-depth",
+            longest.unwrap_or_default()
+        ),
+        Darkness::Missing(missing) => {
+            let reasons: Vec<String> = missing.iter().map(|event| lack(event, &vocabulary, &made)).collect();
+            reasons.join("; ")
+        }
+    })
+}
+
+/// Says that nothing makes an event, and what to write instead.
+fn lack(event: &Event, vocabulary: &Vocabulary, made: &BTreeSet<(Kind, LabelSet)>) -> String {
+    use Kind::{
+        Background, Light, Object, ReflectedDiffuse, ReflectedGlossy, ReflectedSpecular, TransmittedDiffuse,
+        TransmittedGlossy, TransmittedSpecular, Volume,
+    };
+    let is_labelled = event.labels().next().is_some();
+    // Kinds that what the event names makes; what anything makes, where it names nothing.
+    let any = event.of_any_kind();
+    let of_named = |(_, set): &&(Kind, LabelSet)| !is_labelled || any.fits(Light, |label| vocabulary.has(*set, label));
+    let there: BTreeSet<Kind> = made.iter().filter(of_named).map(|(kind, _)| *kind).collect();
+    let kinds: BTreeSet<Kind> = event.kinds().filter(|kind| *kind != Kind::Camera).collect();
+    let has = |kind| there.contains(&kind);
+    let wants = |kind| kinds.contains(&kind);
+    let maker = match kinds.iter().all(|kind| kind.is_source()) {
+        _ if is_labelled => "nothing",
+        true if kinds.len() == 1 && wants(Background) => "no scene",
+        true if kinds.len() == 1 && wants(Object) => "no medium of the scene",
+        true => "nothing in the scene",
+        false if kinds.len() == 1 && wants(Volume) => "no medium of the scene",
+        false => "no surface of the scene",
+    };
+    let mut text = format!("{maker} makes the event `{}`", spelled(kinds.iter().copied()));
+    text += &event.place();
+    let meaning = match () {
+        () if wants(Volume) && kinds.len() == 1 => " (scattering in a medium)",
+        () if wants(Object) && kinds.len() == 1 => " (a medium that glows)",
+        () if wants(Background) && kinds.len() == 1 => " (a background)",
+        () if kinds.iter().all(|kind| matches!(kind, ReflectedSpecular | TransmittedSpecular)) => {
+            " (a perfect mirror, or clear glass that bends light)"
+        }
+        () if kinds.iter().all(|kind| matches!(kind, ReflectedGlossy | TransmittedGlossy)) => " (rough gloss)",
+        () if kinds.iter().all(|kind| matches!(kind, ReflectedDiffuse | TransmittedDiffuse)) => " (diffuse scattering)",
+        () => "",
+    };
+    text += meaning;
+    let pairs = [(ReflectedSpecular, ReflectedGlossy), (TransmittedSpecular, TransmittedGlossy)];
+    let is_rough = pairs.iter().any(|&(mirror, rough)| wants(mirror) && !wants(rough) && has(rough));
+    let is_smooth = pairs.iter().any(|&(mirror, rough)| wants(rough) && !wants(mirror) && has(mirror));
+    let transmits = [TransmittedDiffuse, TransmittedGlossy, TransmittedSpecular];
+    let is_source = kinds.iter().all(|kind| kind.is_source());
+    if is_rough {
+        text += "; its gloss is rough, which is `G`: write `G` instead of `S`, or `[GS]` for both";
+    } else if is_smooth {
+        text += "; its gloss is perfectly smooth, which is `S`: write `S` instead of `G`, or `[GS]` for both";
+    } else if kinds.iter().all(|kind| transmits.contains(kind)) {
+        text += "; what goes straight through a clear sheet makes no event: leave it out of the expression";
+    } else if is_source && has(Light) && !wants(Light) {
+        text += "; lamps are `L`: write `L`, or `[LOB]` for all sources";
+    } else if is_source && has(Object) && !wants(Object) {
+        text += "; media that glow are `O`: write `O`, or `[LOB]` for all sources";
+    } else if is_labelled && !there.is_empty() {
+        text += &format!("; what is there makes `{}`", spelled(there));
+    }
+    text
+}
+
+/// What makes events in a scene.
+struct Makers<'a> {
+    scene: &'a Scene,
+    /// Objects and materials of surfaces that are shown at some time.
+    surfaces: BTreeSet<(Option<ObjectId>, usize)>,
+    /// By material its kinds of scattering, and whether it emits.
+    scattering: Vec<Vec<Kind>>,
+    emits: Vec<bool>,
+    /// Media that are placed.
+    media: BTreeSet<MediumId>,
+    /// Luminaires: object and photometric file.
+    luminaires: BTreeSet<(Option<ObjectId>, usize)>,
+}
+
+impl<'a> Makers<'a> {
+    fn of(scene: &'a Scene) -> Self {
+        let (hidden, blinking) = (hidden_objects(&scene.objects), scene.blinking_objects());
+        let at = |all: &[bool], object: ObjectId| all.get(object.index()).copied().unwrap_or(false);
+        let is_shown =
+            |object: Option<ObjectId>| object.is_none_or(|object| !at(&hidden, object) || at(&blinking, object));
+        let placed = scene.placed_groups();
+        let groups = || scene.groups.iter().zip(&placed).filter(|(_, placed)| **placed).map(|(group, _)| group);
+        let faces = groups().flat_map(|group| group.faces.iter().map(|face| (face.object, face.material.index())));
+        let curved = groups().flat_map(|group| group.quadrics.iter().map(|it| (it.object, it.material.index())));
+        let surfaces: BTreeSet<_> = faces.chain(curved).filter(|(object, _)| is_shown(*object)).collect();
+        let lamps = groups().flat_map(|group| &group.luminaires);
+        let luminaires = lamps.map(|it| (it.object, it.photometry.index())).filter(|(object, _)| is_shown(*object));
+        let inside = surfaces.iter().filter_map(|(_, material)| scene.materials.get(*material)?.inside);
+        Self {
+            scene,
+            scattering: scene.materials.iter().map(|material| kinds_of(scene, material)).collect(),
+            emits: scene.materials.iter().map(|it| largest(scene, it, "ed", it.ed.amount) > 0.0).collect(),
+            media: scene.regions.iter().map(|region| region.medium).chain(inside).collect(),
+            luminaires: luminaires.collect(),
+            surfaces,
+        }
+    }
+
+    /// All events, with the labels of what makes them.
+    fn symbols(&self, vocabulary: &Vocabulary) -> BTreeSet<(Kind, LabelSet)> {
+        let scene = self.scene;
+        let object =
+            |object: Option<ObjectId>| object.and_then(|it| scene.objects.get(it.index())).map_or("", |it| &it.name);
+        let lamp = |of: Option<ObjectId>, kind: &str| {
+            let of = object(of);
+            (Kind::Light, vocabulary.set(&[of, kind, &format!("{of}/{kind}")]))
+        };
+        let mut all = BTreeSet::new();
+        for &(of, number) in &self.surfaces {
+            let Some(material) = scene.materials.get(number) else { continue };
+            // As the recorder has it: of the object and of the material.
+            let labels = vocabulary.set(&[object(of)]).union(vocabulary.set(&[&material.name]));
+            all.extend(self.scattering[number].iter().map(|kind| (*kind, labels)));
+            if self.emits[number] {
+                all.insert(lamp(of, &material.name));
+            }
+        }
+        for &(of, file) in &self.luminaires {
+            all.insert(lamp(of, scene.photometry.get(file).map_or("", |file| &file.path)));
+        }
+        for id in &self.media {
+            let Some(medium) = scene.media.get(id.index()) else { continue };
+            let labels = vocabulary.set(&[&medium.name]);
+            let entity = format!("medium.{}", medium.name);
+            let most = |field: &str, now: f64| scene.largest(&entity, field, now);
+            all.extend((most("sigma_s", medium.sigma_s) > 0.0).then_some((Kind::Volume, labels)));
+            all.extend((most("glow", medium.glow) > 0.0).then_some((Kind::Object, labels)));
+        }
+        all
+    }
+}
+
+fn largest(scene: &Scene, material: &Material, field: &str, now: f64) -> f64 {
+    scene.largest(&format!("material.{}", material.name), field, now)
+}
+
+/// Kinds of scattering that a material may have at some time.
+fn kinds_of(scene: &Scene, material: &Material) -> Vec<Kind> {
+    use Kind::{
+        ReflectedDiffuse as RD, ReflectedGlossy as RG, ReflectedSpecular as RS, TransmittedDiffuse as TD,
+        TransmittedGlossy as TG, TransmittedSpecular as TS,
+    };
+    let of = format!("material.{}.", material.name);
+    let varies = |field: &str| scene.varies.iter().any(|vary| vary.selector.strip_prefix(&of) == Some(field));
+    let present = |field: &str, now: f64| largest(scene, material, field, now) > 0.0;
+    let (rd, td) = (present("rd", material.rd.amount), present("td", material.td.amount));
+    let (rs, ts) = (present("rs", material.rs.amount), present("ts", material.ts.amount));
+    // Rough, and smooth, at some time.
+    let roughness = |field: &str, now: f64| {
+        let is_rough = now as f32 > SMOOTH_ALPHA;
+        if varies(field) { [true, true] } else { [is_rough, !is_rough] }
+    };
+    let [rs_rough, rs_smooth] = roughness("rs_alpha", material.rs_alpha);
+    let [ts_rough, ts_smooth] = roughness("ts_alpha", material.ts_alpha);
+    // A solid reflects what it does not refract, as rough as it transmits; a sheet lets light through unbent, which is no event.
+    let may_change = ["sides", "ir", "ir.im"].into_iter().any(varies);
+    let is_solid = material.sides == Sides::One && material.ior.is_some();
+    let may_be_solid = (is_solid || may_change && material.ior.is_some()) && ts;
+    let may_be_sheet =
+        !is_solid || may_change || material.ior.is_some_and(|ior| ior.im > 0.0 || ior.re as f32 == 1.0) || !ts;
+    let told = [
+        (RD, rd),
+        (TD, td),
+        (RG, may_be_sheet && rs && rs_rough || may_be_solid && ts_rough),
+        (RS, may_be_sheet && rs && rs_smooth || may_be_solid && ts_smooth),
+        (TG, ts && ts_rough),
+        (TS, may_be_solid && ts_smooth),
+    ];
+    told.into_iter().filter_map(|(kind, may_be)| may_be.then_some(kind)).collect()
+}

@@ -17,7 +17,7 @@ pub mod selector;
 pub mod survey;
 mod world;
 
-pub use check::{Fault, FaultKind, Severity, check};
+pub use check::{Fault, FaultKind, Severity, check, lamps_without_light};
 pub use default_camera::{Standpoint, default_camera};
 pub use description::*;
 pub use digest::{DigestError, SceneDigest};

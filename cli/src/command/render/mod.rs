@@ -3,6 +3,7 @@
 mod beside;
 mod clip;
 mod drive;
+mod hidden_lamps;
 mod layers;
 mod painting;
 mod report;
@@ -117,6 +118,7 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         }
     } else {
         asked.explain(say);
+        hidden_lamps::warn(&asked, say);
         let old = if args.fresh { Old::Discard } else { Old::Keep };
         let order = Order {
             asked: &asked,

@@ -62,7 +62,13 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
     if looked_at < all.len() {
         let message = format!("whether light gets out was looked at for {looked_at} of {} lamps alone", all.len());
-        faults.add(Note, Incomplete, WHOLE, message, "check a part of the scene for itself, if lamps seem to be missing");
+        faults.add(
+            Note,
+            Incomplete,
+            WHOLE,
+            message,
+            "check a part of the scene for itself, if lamps seem to be missing",
+        );
     }
 }
 
@@ -209,7 +215,8 @@ impl<'a, 'b> Search<'a, 'b> {
 
     /// Message and advice.
     fn words(&self, hidden: Hidden) -> (String, &'static str) {
-        let named = |material: MaterialId| self.scope.scene.materials.get(material.index()).map_or(String::new(), title);
+        let named =
+            |material: MaterialId| self.scope.scene.materials.get(material.index()).map_or(String::new(), title);
         let share = |hundredths: u32| match hundredths {
             100 => "the light".to_owned(),
             part => format!("{part} % of the light"),

@@ -34,10 +34,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         let is_enclosed = found.begun > 0 && found.escaped == 0;
         closed &= is_enclosed;
         if is_enclosed && found.lit == 0 && !glows && !lamps.is_empty() {
-            let message = format!(
-                "camera `{}` is enclosed by surfaces that no light gets into: {BLACK}",
-                camera.name
-            );
+            let message = format!("camera `{}` is enclosed by surfaces that no light gets into: {BLACK}", camera.name);
             faults.add(Warning, CameraFault, camera.location, message, "move it out of the solid, or put a lamp in");
         }
     }

@@ -213,15 +213,9 @@ impl Asked {
         }
     }
 
-    /// Lamps whose light no method finds, a line each, with their places.
-    pub fn lamps_without_light(&self) -> Vec<String> {
-        let scene = self.scene();
-        let line = |fault: femc_scene::Fault| {
-            let file = scene.files.get(fault.location.file as usize).map_or("", String::as_str);
-            let place = shown(&self.place, file);
-            format!("{place}:{}: {}; {}", fault.location.line, fault.message, fault.advice)
-        };
-        femc_scene::lamps_without_light(scene).into_iter().map(line).collect()
+    /// The scene file below the root of its files.
+    pub fn place(&self) -> &ScenePath {
+        &self.place
     }
 
     /// The scene, overrides applied.

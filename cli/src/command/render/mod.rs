@@ -3,7 +3,6 @@
 mod beside;
 mod clip;
 mod drive;
-mod hidden_lamps;
 mod layers;
 mod painting;
 mod report;
@@ -118,7 +117,10 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         }
     } else {
         asked.explain(say);
-        hidden_lamps::warn(&asked, say);
+        asked.warn_of_hidden_lamps(say);
+        if asked.settings.method == femc_pipeline::Method::Fem {
+            asked.warn_of_bent_light(say);
+        }
         let old = if args.fresh { Old::Discard } else { Old::Keep };
         let order = Order {
             asked: &asked,

@@ -20,7 +20,7 @@ pub(crate) struct Source<'a> {
 
 enum Form<'a> {
     /// A luminaire at a place.
-    Luminaire { to_world: Transform, photometry: usize, opening: &'a Opening },
+    Luminaire { to_world: Transform, photometry: usize, opening: &'a Opening, multiplier: f64 },
     /// Surfaces of one material that touch each other, with the sum of their areas up to each.
     Surfaces { parts: Vec<(f64, Part)>, material: usize },
 }
@@ -74,7 +74,8 @@ pub(crate) fn sources<'a>(scope: &Scope<'a>) -> Vec<Source<'a>> {
     let luminaires = scope.luminaires.iter().filter_map(|placed| {
         let photometry = placed.luminaire.photometry.index();
         let opening = &scene.photometry.get(photometry)?.opening;
-        let form = Form::Luminaire { to_world: placed.to_world, photometry, opening };
+        let multiplier = placed.luminaire.multiplier;
+        let form = Form::Luminaire { to_world: placed.to_world, photometry, opening, multiplier };
         Some(Source { location: placed.luminaire.location, form })
     });
     let emits: Vec<bool> = scene.materials.iter().map(|material| emits(scope, material)).collect();
@@ -110,12 +111,25 @@ impl Source<'_> {
         matches!(self.form, Form::Luminaire { opening: Opening::Point, .. })
     }
 
+    /// Luminous flux, lm, at the start of the clip.
+    /// - `fluxes`: of each photometric file.
+    pub fn lumens(&self, scope: &Scope<'_>, fluxes: &[f64]) -> f64 {
+        match &self.form {
+            Form::Luminaire { photometry, multiplier, .. } => fluxes.get(*photometry).map_or(0.0, |lm| lm * multiplier),
+            Form::Surfaces { parts, material } => {
+                let (area, material) = (parts.last().map_or(0.0, |part| part.0), &scope.scene.materials[*material]);
+                let sides = if material.sides == Sides::Two { 2.0 } else { 1.0 };
+                material.ed.luminous() * area * sides
+            }
+        }
+    }
+
     /// Some of its light; `None`: it emits nothing there.
     /// - `beams`: of each photometric file.
     /// - `at`: in [0, 1), equal shares of the light.
     pub fn emit(&self, scope: &Scope<'_>, beams: &[Option<Beams>], at: f64, dice: &mut Dice) -> Option<Emitted> {
         match &self.form {
-            Form::Luminaire { to_world, photometry, opening } => {
+            Form::Luminaire { to_world, photometry, opening, .. } => {
                 let local = beams.get(*photometry)?.as_ref()?.direction(at, dice);
                 let dir = to_world.transform_vector3(local).try_normalize()?;
                 let ray = |origin| Ray { origin, dir, far: f64::INFINITY };

@@ -89,8 +89,10 @@ fn effect(scope: &Scope<'_>, material: &Material, is_front: bool) -> Effect {
 /// Follows light until something scatters or stops it.
 /// - `is_point`: it comes straight from a point, which no path meets: after a mirror or a bend it is not found.
 pub(crate) fn shine(scope: &Scope<'_>, mut ray: Ray, is_point: bool, dice: &mut Dice) -> Shone {
+    let mut mirror = None;
     for _ in 0..PASSED {
         let Some(hit) = scope.first_hit(&ray) else { return Shone::Escaped };
+        mirror = None;
         let Some(material) = hit.material(scope) else { return Shone::Stopped(hit.material) };
         let is_front = hit.is_front(&ray);
         let normal = if is_front { hit.normal } else { -hit.normal };
@@ -106,6 +108,7 @@ pub(crate) fn shine(scope: &Scope<'_>, mut ray: Ray, is_point: bool, dice: &mut 
         } else if effect.mirrors && !is_point {
             let dir = (ray.dir - 2.0 * ray.dir.dot(normal) * normal).normalize_or(normal);
             ray = Ray { origin: place + 2.0 * scope.offset() * normal, dir, ..ray };
+            mirror = Some(hit.material);
         } else if let Some(lit) = in_medium(scope, &ray, &hit, is_front) {
             return Shone::Lit(lit);
         } else if effect.bends || effect.mirrors {
@@ -114,7 +117,8 @@ pub(crate) fn shine(scope: &Scope<'_>, mut ray: Ray, is_point: bool, dice: &mut 
             return Shone::Stopped(hit.material);
         }
     }
-    Shone::Escaped
+    // Between mirrors light is caught; behind so many clear surfaces nothing is known.
+    mirror.map_or(Shone::Escaped, Shone::Stopped)
 }
 
 /// The middle of a way on which media scatter a share of the light that is seen.

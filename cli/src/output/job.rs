@@ -30,6 +30,7 @@ pub fn snapshot(job: &JobStatus, stop: Option<Stop>) -> Snapshot {
         samples: job.samples_done,
         fraction: (f64::from(job.frames_done) + in_work.min(open)) / f64::from(job.frames_total.max(1)),
         relative_error: job.relative_error,
+        blocks: job.blocks,
     }
 }
 
@@ -88,8 +89,8 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
     if job.samples_per_second > 0.0 {
         samples += &format!(", {} a second", human::quantity(job.samples_per_second));
     }
-    if let Some(error) = job.relative_error {
-        samples += &format!(", relative error {}", human::percent(error));
+    if let Some(error) = super::error::words(job.relative_error, job.blocks) {
+        samples += &format!(", {error}");
     }
     lines.push(samples);
     if job.bad_samples > 0 {

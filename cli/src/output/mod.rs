@@ -1,6 +1,7 @@
 //! What is said, and where: results on stdout, progress, notes and errors on stderr.
 
 pub mod blocks;
+pub mod error;
 pub mod faults;
 pub mod job;
 pub mod json;

@@ -1,5 +1,6 @@
 use super::{Say, human};
 use crate::clock::{Clock, Moment};
+use femc_model::Blocks;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal};
 use std::time::Duration;
@@ -26,6 +27,8 @@ pub struct Snapshot {
     pub fraction: f64,
     /// Relative error of the frame measured last.
     pub relative_error: Option<f64>,
+    /// Blocks of that frame.
+    pub blocks: Option<Blocks>,
 }
 
 /// Progress on stderr: a bar on a terminal, else a line every few seconds.
@@ -157,7 +160,9 @@ fn line(first: &Snapshot, now: &Snapshot, elapsed: Duration) -> String {
         let rate = (now.samples - first.samples) as f64 / seconds;
         text += &format!(", {} samples/s", human::quantity(rate));
     }
-    if let Some(error) = now.relative_error.filter(|error| error.is_finite()) {
+    if now.blocks.is_some_and(Blocks::is_dark) {
+        text += ", no light met";
+    } else if let Some(error) = now.relative_error.filter(|error| error.is_finite()) {
         text += &format!(", error {}", human::percent(error));
     }
     if now.fraction > first.fraction && now.fraction < 1.0 && seconds > 0.5 {
@@ -176,6 +181,13 @@ mod tests {
         let first = Snapshot { frames: 4, frames_done: 2, fraction: 0.5, samples: 1_000_000, ..Snapshot::default() };
         let now = Snapshot { frames_done: 3, fraction: 0.75, samples: 3_000_000, tiles_done: 3, tiles: 8, ..first };
         assert_eq!(line(&first, &now, Duration::from_secs(10)), "frame 3/4, tile 3/8, 200 k samples/s, 10.0 s left");
+    }
+
+    #[test]
+    fn a_frame_that_met_no_light_has_not_converged() {
+        let first = Snapshot { frames: 1, ..Snapshot::default() };
+        let dark = Snapshot { relative_error: Some(0.0), blocks: Some(Blocks { all: 4, unlit: 4 }), ..first };
+        assert_eq!(line(&first, &dark, Duration::ZERO), "frame 0/1, tile 0/0, no light met");
     }
 
     #[test]

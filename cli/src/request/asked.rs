@@ -233,6 +233,11 @@ impl Asked {
         }
     }
 
+    /// The scene file below the root of its files.
+    pub fn place(&self) -> &ScenePath {
+        &self.place
+    }
+
     /// The scene, overrides applied.
     pub fn scene(&self) -> &Arc<Scene> {
         self.source.scene()

@@ -3,6 +3,7 @@
 
 mod asked;
 mod job_file;
+mod lamps;
 pub mod picture;
 mod stated;
 
@@ -10,4 +11,5 @@ pub use asked::{Asked, Base, FramesChosen, is_job, line_of, load, locate, shown}
 #[cfg(feature = "openjd")]
 pub use job_file::{Axis, Change, Mode};
 pub use job_file::{JobFile, Measures, typed_keys};
+pub use lamps::{flux, table_of};
 pub use stated::Stated;

@@ -136,6 +136,11 @@ impl FrameError {
         let mean = lit().sum::<f64>() / lit().count().max(1) as f64;
         Self { worst, mean, unlit: blocks.len() - lit().count(), floor, blocks }
     }
+
+    /// The worst relative error; `None` where it cannot be told: a pixel has fewer than two samples, or no sample met light.
+    pub fn reached(&self) -> Option<f64> {
+        (self.unlit < self.blocks.len() && self.worst.is_finite()).then_some(self.worst)
+    }
 }
 
 impl FrameImage {
@@ -212,8 +217,10 @@ mod tests {
     #[test]
     fn a_single_sample_is_not_convergence_and_black_is_unlit() {
         let mut image = gray(16, 16, 0.0, 0.0);
-        assert_eq!((image.error().worst, image.error().unlit), (0.0, 1));
+        assert_eq!((image.error().worst, image.error().unlit, image.error().reached()), (0.0, 1, None));
         image.samples[77] = 1;
-        assert_eq!(image.error().worst, f64::INFINITY);
+        assert_eq!((image.error().worst, image.error().reached()), (f64::INFINITY, None));
+        let lit = gray(16, 16, 2.0, 0.01).error();
+        assert_eq!(lit.reached(), Some(lit.worst));
     }
 }

@@ -5,6 +5,7 @@
 #![deny(missing_docs)]
 
 pub mod animation;
+mod bent_light;
 mod brightness;
 pub mod check;
 mod default_camera;
@@ -17,7 +18,8 @@ pub mod selector;
 pub mod survey;
 mod world;
 
-pub use check::{Fault, FaultKind, Severity, check};
+pub use bent_light::{BentLight, bent_light};
+pub use check::{Fault, FaultKind, Severity, check, lamps_without_light};
 pub use default_camera::{Standpoint, default_camera};
 pub use description::*;
 pub use digest::{DigestError, SceneDigest};

@@ -1,10 +1,8 @@
 //! What is in a scene: how large it is, and its lamps with their luminous flux.
 
-use crate::description::{Location, Photometry, RegionBounds, Scene, Shape, Sides};
-use crate::world::{Bounds, Scope};
+use crate::description::{Location, Photometry, RegionBounds, Scene, Sides};
+use crate::world::{Bounds, Scope, area, touching};
 use femc_math::glam::DVec3;
-use std::f64::consts::PI;
-use std::ops::ControlFlow;
 
 /// Lamps whose luminous flux differs by less than this part are equal: areas of turned copies are rounded.
 const EQUAL: f64 = 1e-3;
@@ -85,29 +83,13 @@ struct Element {
 /// Emitting surfaces of one material that touch each other are one lamp.
 fn surfaces(scope: &Scope<'_>) -> Vec<Lamp> {
     let elements = elements(scope);
-    let tree = crate::world::BoxTree::new(&elements.iter().map(|element| element.bounds).collect::<Vec<_>>());
-    let mut lamp_of: Vec<usize> = vec![usize::MAX; elements.len()];
-    let mut lamps = Vec::new();
-    for first in 0..elements.len() {
-        if lamp_of[first] != usize::MAX {
-            continue;
-        }
-        let (number, mut area, mut open) = (lamps.len(), 0.0, vec![first]);
-        lamp_of[first] = number;
-        while let Some(index) = open.pop() {
-            area += elements[index].area;
-            let near = elements[index].bounds.grown(1e-6 * scope.bounds.diagonal());
-            let _never_stops = tree.find(&near, |other| {
-                if lamp_of[other] == usize::MAX && elements[other].material == elements[index].material {
-                    lamp_of[other] = number;
-                    open.push(other);
-                }
-                ControlFlow::Continue(())
-            });
-        }
-        lamps.push(lamp(scope.scene, &elements[first], area));
-    }
-    lamps
+    let bounds: Vec<Bounds> = elements.iter().map(|element| element.bounds).collect();
+    let groups = touching(&bounds, 1e-6 * scope.bounds.diagonal(), |a, b| elements[a].material == elements[b].material);
+    let lamp_of = |group: Vec<usize>| {
+        let area = group.iter().map(|&index| elements[index].area).sum();
+        lamp(scope.scene, &elements[group[0]], area)
+    };
+    groups.into_iter().map(lamp_of).collect()
 }
 
 fn lamp(scene: &Scene, element: &Element, area: f64) -> Lamp {
@@ -146,19 +128,6 @@ fn elements(scope: &Scope<'_>) -> Vec<Element> {
         elements.push(Element { bounds: quadric.bounds(), area: area(&quadric.shape), material, location });
     }
     elements
-}
-
-/// Area of one side, m2.
-fn area(shape: &Shape) -> f64 {
-    match *shape {
-        Shape::Sphere { radius, .. } => 4.0 * PI * radius * radius,
-        Shape::Cone { start, end, start_radius, end_radius, .. } => {
-            let (length, step) = (start.distance(end), end_radius - start_radius);
-            PI * (start_radius + end_radius) * (length * length + step * step).sqrt()
-        }
-        Shape::Ring { inner, outer, .. } => PI * (outer * outer - inner * inner),
-        Shape::Torus { major, minor, .. } => 4.0 * PI * PI * major * minor,
-    }
 }
 
 fn luminaires(scope: &Scope<'_>, flux: &dyn Fn(&Photometry) -> f64) -> Vec<Lamp> {

@@ -36,7 +36,7 @@ pub use latest::Latest;
 pub use log::{Attempt, LogRecord, LogText, TaskLog};
 pub use manifest::{Extent, Manifest, ManifestError, Piece};
 pub use refusal::Refusal;
-pub use result::{Artifact, Decision, FrameParts, FrameRecord, TaskResult};
+pub use result::{Artifact, Blocks, Decision, FrameParts, FrameRecord, TaskResult};
 pub use session::{
     Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, TaskUsage, ToWorker,
 };

@@ -31,6 +31,22 @@ pub enum Decision {
     Done,
 }
 
+/// Blocks of pixels of a measured frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Blocks {
+    /// All blocks.
+    pub all: u32,
+    /// Blocks in which no sample met light: they have no part in the relative error.
+    pub unlit: u32,
+}
+
+impl Blocks {
+    /// Whether no sample of the frame met light.
+    pub fn is_dark(self) -> bool {
+        self.all > 0 && self.unlit == self.all
+    }
+}
+
 /// Result of a task.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct TaskResult {
@@ -40,8 +56,10 @@ pub struct TaskResult {
     pub units: u64,
     /// Samples refused because they were NaN, infinite or negative.
     pub bad_samples: u64,
-    /// Relative error that it has measured, if it measures.
+    /// Relative error that it has measured, if it measures; `None` also where no sample has met light.
     pub relative_error: Option<f64>,
+    /// Blocks that it has measured.
+    pub blocks: Option<Blocks>,
     /// Of a task that closes a loop.
     pub decision: Option<Decision>,
     /// Seconds that the worker spent on it.
@@ -87,8 +105,10 @@ pub struct FrameRecord {
     pub outputs: Vec<Output>,
     /// Samples a pixel, on the average.
     pub spp: u32,
-    /// Relative error reached.
+    /// Relative error reached; `None` also where no sample has met light.
     pub relative_error: Option<f64>,
+    /// Blocks of the frame, where it was measured.
+    pub blocks: Option<Blocks>,
     /// Samples refused.
     pub bad_samples: u64,
     /// Seconds that workers spent on it, summed.

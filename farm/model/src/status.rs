@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Failure, JobId, JobState, StageKind, TaskKey, WorkerId};
+use crate::{Blocks, Failure, JobId, JobState, StageKind, TaskKey, WorkerId};
 
 /// A job at a glance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -41,6 +41,8 @@ pub struct JobStatus {
     pub bad_samples: u64,
     /// Relative error of the frame measured last.
     pub relative_error: Option<f64>,
+    /// Blocks of the frame measured last.
+    pub blocks: Option<Blocks>,
     /// Seconds since the first lease, or from the first lease to the end.
     pub seconds: f64,
     /// Tasks out of attempts.
@@ -77,6 +79,8 @@ pub struct FrameProgress {
     pub samples_done: u64,
     /// Relative error after the round before.
     pub relative_error: Option<f64>,
+    /// Blocks as they were measured then.
+    pub blocks: Option<Blocks>,
 }
 
 /// A task that used up its attempts.

@@ -61,6 +61,7 @@ impl Scheduler {
             samples_per_second: ready_tasks.rate.per_second(),
             bad_samples: bad_finished + bad_active,
             relative_error: job.relative_error,
+            blocks: job.blocks,
             seconds: began.map_or(0, |began| job.ended.unwrap_or(now).since(began)) as f64 / 1000.0,
             quarantined: quarantined(id, job)
                 .into_iter()
@@ -204,6 +205,7 @@ fn progress(job: &Job, frame: u32) -> FrameProgress {
         running: 0,
         samples_done: unit.units,
         relative_error: unit.relative_error,
+        blocks: unit.blocks,
     }
 }
 

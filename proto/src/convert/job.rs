@@ -2,7 +2,7 @@
 
 use femc_model::{Control, FrameRecord, Grid, JobSpec, JobState};
 
-use super::{ConvertError, digest, digest_bytes, each, need};
+use super::{ConvertError, digest, digest_bytes, each, maybe, need};
 use crate::wire;
 
 impl From<JobSpec> for wire::JobSpec {
@@ -113,9 +113,10 @@ pub(super) fn state(value: i32) -> Result<JobState, ConvertError> {
 
 impl From<FrameRecord> for wire::FrameRecord {
     fn from(record: FrameRecord) -> Self {
-        let FrameRecord { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds } = record;
+        let FrameRecord { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds } = record;
         let outputs = outputs.into_iter().map(Into::into).collect();
-        Self { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds }
+        let blocks = blocks.map(Into::into);
+        Self { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds }
     }
 }
 
@@ -123,8 +124,9 @@ impl TryFrom<wire::FrameRecord> for FrameRecord {
     type Error = ConvertError;
 
     fn try_from(wire: wire::FrameRecord) -> Result<Self, ConvertError> {
-        let wire::FrameRecord { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds } = wire;
-        let outputs = each(outputs)?;
-        Ok(Self { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds })
+        let wire::FrameRecord { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds } =
+            wire;
+        let (outputs, blocks) = (each(outputs)?, maybe(blocks)?);
+        Ok(Self { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds })
     }
 }

@@ -29,6 +29,7 @@ impl From<JobStatus> for wire::JobStatus {
             samples_per_second: status.samples_per_second,
             bad_samples: status.bad_samples,
             relative_error: status.relative_error,
+            blocks: status.blocks.map(Into::into),
             seconds: status.seconds,
             quarantined: status.quarantined.into_iter().map(Into::into).collect(),
             stale_messages: status.stale_messages,
@@ -60,6 +61,7 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             samples_per_second: wire.samples_per_second,
             bad_samples: wire.bad_samples,
             relative_error: wire.relative_error,
+            blocks: maybe(wire.blocks)?,
             seconds: wire.seconds,
             quarantined: each(wire.quarantined)?,
             stale_messages: wire.stale_messages,
@@ -82,6 +84,7 @@ impl From<FrameProgress> for wire::FrameProgress {
             running: progress.running,
             samples_done: progress.samples_done,
             relative_error: progress.relative_error,
+            blocks: progress.blocks.map(Into::into),
         }
     }
 }
@@ -100,6 +103,7 @@ impl TryFrom<wire::FrameProgress> for FrameProgress {
             running: wire.running,
             samples_done: wire.samples_done,
             relative_error: wire.relative_error,
+            blocks: maybe(wire.blocks)?,
         })
     }
 }

@@ -3,11 +3,11 @@
 use std::ops::Range;
 
 use femc_model::{
-    Assignment, Decision, Epoch, FrameParts, Graph, Grid, Input, JobId, More, Stage, TaskKey, TaskResult, Work,
+    Assignment, Blocks, Decision, Epoch, FrameParts, Graph, Grid, Input, JobId, More, Stage, TaskKey, TaskResult, Work,
 };
 
 use super::graph::{kind, of_kind, stage};
-use super::{ConvertError, each, need};
+use super::{ConvertError, each, maybe, need};
 use crate::wire;
 
 impl From<TaskKey> for wire::TaskKey {
@@ -108,17 +108,33 @@ impl TryFrom<wire::Input> for Input {
     }
 }
 
+impl From<Blocks> for wire::Blocks {
+    fn from(Blocks { all, unlit }: Blocks) -> Self {
+        Self { all, unlit }
+    }
+}
+
+impl TryFrom<wire::Blocks> for Blocks {
+    type Error = ConvertError;
+
+    fn try_from(wire::Blocks { all, unlit }: wire::Blocks) -> Result<Self, ConvertError> {
+        let is_sound = unlit <= all;
+        is_sound.then_some(Self { all, unlit }).ok_or(ConvertError::Range { field: "blocks.unlit" })
+    }
+}
+
 impl From<TaskResult> for wire::TaskResult {
     fn from(result: TaskResult) -> Self {
         use wire::task_result::Decision as Wire;
-        let TaskResult { outputs, units, bad_samples, relative_error, decision, seconds } = result;
+        let TaskResult { outputs, units, bad_samples, relative_error, blocks, decision, seconds } = result;
         let outputs = outputs.into_iter().map(Into::into).collect();
         let decision = decision.map(|decision| match decision {
             Decision::Continue => Wire::NextRound(wire::Empty {}),
             Decision::Steps(steps) => Wire::Steps(wire::Steps { steps }),
             Decision::Done => Wire::Done(wire::Empty {}),
         });
-        Self { outputs, units, bad_samples, relative_error, decision, seconds }
+        let blocks = blocks.map(Into::into);
+        Self { outputs, units, bad_samples, relative_error, blocks, decision, seconds }
     }
 }
 
@@ -127,7 +143,7 @@ impl TryFrom<wire::TaskResult> for TaskResult {
 
     fn try_from(wire: wire::TaskResult) -> Result<Self, ConvertError> {
         use wire::task_result::Decision as Wire;
-        let wire::TaskResult { outputs, units, bad_samples, relative_error, decision, seconds } = wire;
+        let wire::TaskResult { outputs, units, bad_samples, relative_error, blocks, decision, seconds } = wire;
         if outputs.len() > Self::MAX_OUTPUTS {
             return Err(ConvertError::Range { field: "result.outputs" });
         }
@@ -140,8 +156,8 @@ impl TryFrom<wire::TaskResult> for TaskResult {
             Some(Wire::Done(_)) => Some(Decision::Done),
             None => None,
         };
-        let (outputs, seconds) = (each(outputs)?, finite(seconds)?);
-        Ok(Self { outputs, units, bad_samples, relative_error, decision, seconds })
+        let (outputs, seconds, blocks) = (each(outputs)?, finite(seconds)?, maybe(blocks)?);
+        Ok(Self { outputs, units, bad_samples, relative_error, blocks, decision, seconds })
     }
 }
 

@@ -163,7 +163,9 @@ fn the_words_of_a_session_cross_the_wire() {
     assert_eq!(TaskLog::try_from(large), Err(ConvertError::Range { field: "log.stored" }));
     for decision in [None, Some(Decision::Continue), Some(Decision::Steps(vec![16, 0])), Some(Decision::Done)] {
         let (outputs, relative_error) = (outputs(), decision.as_ref().map(|_| 0.01));
-        let result = TaskResult { outputs, units: 1 << 40, bad_samples: 2, relative_error, decision, seconds: 0.25 };
+        let (units, bad_samples, seconds) = (1 << 40, 2, 0.25);
+        let blocks = decision.as_ref().map(|_| Blocks { all: 9, unlit: 2 });
+        let result = TaskResult { outputs, units, bad_samples, relative_error, blocks, decision, seconds };
         crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed {
             task: render,
             epoch,
@@ -234,6 +236,7 @@ fn statuses_cross_the_wire() {
         running: 1,
         samples_done: 99,
         relative_error: Some(0.2),
+        blocks: Some(Blocks { all: 4, unlit: 1 }),
     };
     let waits = vec![
         Wait::Paused,
@@ -272,6 +275,7 @@ fn statuses_cross_the_wire() {
             samples_per_second: 1e6,
             bad_samples: 4,
             relative_error: Some(0.1),
+            blocks: Some(Blocks { all: 4, unlit: 0 }),
             seconds: 5.5,
             quarantined: vec![Quarantined { task: task(StageKind::Render), attempts: 3, failure: Failure::Cancelled }],
             stale_messages: 8,
@@ -317,6 +321,7 @@ fn statuses_cross_the_wire() {
         outputs: outputs(),
         spp: 16,
         relative_error: None,
+        blocks: Some(Blocks { all: 4, unlit: 4 }),
         bad_samples: 0,
         busy_seconds: 1.0,
         seconds: 2.0,
@@ -327,6 +332,8 @@ fn statuses_cross_the_wire() {
 
 #[test]
 fn nonsense_is_refused_by_name() {
+    let blocks = wire::Blocks { all: 1, unlit: 2 };
+    assert_eq!(Blocks::try_from(blocks), Err(ConvertError::Range { field: "blocks.unlit" }));
     let spec = wire::JobSpec::from(spec());
     let short = wire::JobSpec { bundle: vec![1u8; 31], ..spec.clone() };
     assert_eq!(JobSpec::try_from(short), Err(ConvertError::Digest { field: "job.bundle" }));

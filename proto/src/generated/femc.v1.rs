@@ -620,6 +620,19 @@ pub struct JobStatus {
     /// not known.
     #[prost(uint64, optional, tag = "22")]
     pub submitted_unix_ms: ::core::option::Option<u64>,
+    /// Blocks of the frame measured last; absent: none was measured.
+    #[prost(message, optional, tag = "23")]
+    pub blocks: ::core::option::Option<Blocks>,
+}
+/// Blocks of 16 x 16 pixels of a measured frame.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct Blocks {
+    /// All blocks.
+    #[prost(uint32, tag = "1")]
+    pub all: u32,
+    /// Blocks in which no sample met light: they have no part in the relative error, which is absent where all are unlit.
+    #[prost(uint32, tag = "2")]
+    pub unlit: u32,
 }
 /// How far a frame in work is.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -651,6 +664,9 @@ pub struct FrameProgress {
     /// Relative error after the round before, 95 %; absent: there was none, or it cannot be told.
     #[prost(double, optional, tag = "9")]
     pub relative_error: ::core::option::Option<f64>,
+    /// Blocks as they were measured then; absent: there was no measurement.
+    #[prost(message, optional, tag = "10")]
+    pub blocks: ::core::option::Option<Blocks>,
 }
 /// A task that used up its attempts: its frame cannot go on without a retry.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -872,6 +888,9 @@ pub struct FrameRecord {
     /// From the first lease to the last result.
     #[prost(double, tag = "7")]
     pub seconds: f64,
+    /// Blocks of the frame; absent: it was not measured.
+    #[prost(message, optional, tag = "8")]
+    pub blocks: ::core::option::Option<Blocks>,
 }
 /// A worker at a glance.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -1357,6 +1376,9 @@ pub struct TaskResult {
     /// That the worker spent on it.
     #[prost(double, tag = "8")]
     pub seconds: f64,
+    /// Blocks that it has measured. Absent: it measures none.
+    #[prost(message, optional, tag = "9")]
+    pub blocks: ::core::option::Option<Blocks>,
     /// One of these, of a task that closes a loop; of others absent.
     #[prost(oneof = "task_result::Decision", tags = "5, 6, 7")]
     pub decision: ::core::option::Option<task_result::Decision>,

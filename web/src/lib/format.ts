@@ -44,6 +44,27 @@ export function percent(share: number | null | undefined): string {
   return `${text} %`;
 }
 
+/** What was measured of a frame. */
+interface Measured {
+  relative_error: number | null;
+  blocks?: number | null;
+  unlit_blocks?: number | null;
+}
+
+/** The error of a frame, short: `7.1 %`, or `unlit` where no sample met light. */
+export function shortError({ relative_error, blocks, unlit_blocks }: Measured): string {
+  if (blocks && unlit_blocks === blocks) return 'unlit';
+  return percent(relative_error);
+}
+
+/** The error of a frame: `7.1 %, 2 of 4 blocks met no light`. */
+export function frameError(frame: Measured): string {
+  const { blocks, unlit_blocks } = frame;
+  if (!blocks || !unlit_blocks) return percent(frame.relative_error);
+  if (unlit_blocks === blocks) return 'no sample met light';
+  return `${percent(frame.relative_error)}, ${unlit_blocks} of ${blocks} blocks met no light`;
+}
+
 /** `1 job`, `2 jobs`. */
 export function count(n: number, noun: string): string {
   return `${n.toLocaleString('en-US')} ${noun}${n === 1 ? '' : 's'}`;

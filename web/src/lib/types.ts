@@ -20,6 +20,8 @@ export interface ActiveFrame {
   running: number;
   samples: number;
   relative_error: number | null;
+  blocks?: number | null;
+  unlit_blocks?: number | null;
 }
 
 /** A task that used up its attempts. */
@@ -44,8 +46,11 @@ export interface Job {
   samples_most: number;
   samples_per_second: number;
   bad_samples: number;
-  /** Of the frame measured last. */
+  /** Of the frame measured last; null where no sample met light. */
   relative_error: number | null;
+  /** Blocks of that frame, and those in which no sample met light. */
+  blocks?: number | null;
+  unlit_blocks?: number | null;
   /** Since the first lease, or from the first lease to the end. */
   seconds: number;
   /** Unix seconds, by the farm's clock. */
@@ -129,7 +134,11 @@ export interface Frame {
   tiles: number;
   running: number;
   samples: number;
+  /** Null where no sample met light. */
   relative_error: number | null;
+  /** Blocks of it, and those in which no sample met light. */
+  blocks?: number | null;
+  unlit_blocks?: number | null;
   seconds: number | null;
   has_image: boolean;
   outputs: Output[];

@@ -1,5 +1,5 @@
 import { expect, test } from 'vitest';
-import { bytes, percent, quantity, ranges, seconds, value } from '../../src/lib/format';
+import { bytes, frameError, percent, quantity, ranges, seconds, shortError, value } from '../../src/lib/format';
 
 test.each([
   [0.421, '0.42 s'],
@@ -36,6 +36,16 @@ test.each([
   [0.9996, '100 %'],
   [null, '–'],
 ])('%s is %s', (n, text) => expect(percent(n)).toBe(text));
+
+test.each([
+  [0.071, 0, 4, '7.1 %', '7.1 %'],
+  [0.071, 2, 4, '7.1 %', '7.1 %, 2 of 4 blocks met no light'],
+  [null, 4, 4, 'unlit', 'no sample met light'],
+  [0, 4, 4, 'unlit', 'no sample met light'],
+  [null, null, null, '–', '–'],
+])('an error of %s with %s of %s blocks unlit', (relative_error, unlit_blocks, blocks, short, long) => {
+  expect([shortError, frameError].map((say) => say({ relative_error, unlit_blocks, blocks }))).toEqual([short, long]);
+});
 
 test.each([
   [0, '0'],

@@ -4,7 +4,7 @@
 //! time.
 
 use femc_film::{Errors, FrameError, Stops, TileErrors};
-use femc_model::{Decision, Failure, More, Phase, Role, Round, Template};
+use femc_model::{Blocks, Decision, Failure, More, Phase, Role, Round, Template};
 use femc_pipeline::{RoundVerdict, Settings};
 
 use super::union::{groups, stops};
@@ -50,7 +50,8 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         product.put(stage, Role::Stops, || stops.encode());
     }
     product.result.decision = Some(decision);
-    product.result.relative_error = Some(error.worst).filter(|error| error.is_finite());
+    product.result.relative_error = error.reached();
+    product.result.blocks = Some(Blocks { all: error.blocks.len() as u32, unlit: error.unlit as u32 });
     product.result.seconds = watch.seconds();
     Ok(product)
 }

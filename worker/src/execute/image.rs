@@ -1,7 +1,7 @@
 //! All that there is of a frame: its error, and its image.
 
 use femc_film::{BadSamples, FilmError, FrameImage, Piece, Provenance, SampleRange, ToneCurve, exr};
-use femc_model::{Decision, Failure, More, Phase, Role, Template};
+use femc_model::{Blocks, Decision, Failure, More, Phase, Role, Template};
 use femc_pipeline::{Allocation, Settings, Stop};
 
 use super::union::{groups, tiles, tiling, union};
@@ -62,7 +62,8 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
         product.put(stage, Role::LayerImage, || bytes);
     }
     product.result.decision = stage.closes.map(|_| Decision::Done);
-    product.result.relative_error = Some(error.worst).filter(|error| error.is_finite());
+    product.result.relative_error = error.reached();
+    product.result.blocks = Some(Blocks { all: error.blocks.len() as u32, unlit: error.unlit as u32 });
     product.result.seconds = watch.seconds();
     Ok(product)
 }

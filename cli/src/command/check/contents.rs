@@ -1,10 +1,9 @@
 //! What is in a scene: its bounds, its lamps and their luminous flux.
 
 use crate::output::{Say, human};
-use crate::request::shown;
-use femc_emission::{IntensityDistribution, PhotometryError, PhotometryKind};
+use crate::request::{flux, shown};
 use femc_import::ScenePath;
-use femc_scene::{LampKind, Photometry, PhotometryType, Scene, survey};
+use femc_scene::{LampKind, Scene, survey};
 use serde::Serialize;
 
 /// Lines of lamps that are shown to people.
@@ -92,21 +91,6 @@ impl Contents {
             say.result(format!("and {} (--json has all)", human::count(more as u64, "more kind")));
         }
     }
-}
-
-/// Luminous flux of a photometric file as the renderer reads it, lm.
-fn flux(photometry: &Photometry) -> f64 {
-    table_of(photometry).map_or(0.0, |table| table.flux())
-}
-
-/// The intensities of a photometric file as the renderer reads them.
-pub fn table_of(photometry: &Photometry) -> Result<IntensityDistribution, PhotometryError> {
-    let kind = match photometry.kind {
-        PhotometryType::A => PhotometryKind::A,
-        PhotometryType::B => PhotometryKind::B,
-        PhotometryType::C => PhotometryKind::C,
-    };
-    IntensityDistribution::new(kind, &photometry.vertical, &photometry.horizontal, &photometry.candela)
 }
 
 /// A length without decimals that say nothing.

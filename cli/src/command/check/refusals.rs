@@ -1,8 +1,7 @@
 //! Reasons for which `femc render` and `femc submit` would refuse the scene, whatever their settings: the same plan is made here.
 
-use super::contents::table_of;
 use crate::output::faults::Line;
-use crate::request::shown;
+use crate::request::{shown, table_of};
 use femc_import::ScenePath;
 use femc_pipeline::{PlanError, PrepareError, Settings, plan};
 use femc_scene::{Location, Scene, Severity};

@@ -81,6 +81,7 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     let typed = SettingsArgs { frames: Some(Frames::one(args.frame)), set: args.set, ..SettingsArgs::default() };
     let named = |key: &str| (key == "frames").then(|| "--frame".to_owned());
     let asked = Base::open(&args.scene, args.root.as_deref(), say)?.ask(&typed, &named)?;
+    asked.warn_of_bent_light(say);
     let prepared = pool.install(|| femc_pipeline::prepare(&asked.source, &asked.settings, args.frame, None));
     let prepared = prepared.map_err(failed)?;
 

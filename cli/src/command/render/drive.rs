@@ -177,6 +177,8 @@ async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<O
         file: path.display().to_string(),
         spp: record.spp,
         relative_error: record.relative_error,
+        blocks: record.blocks.map(|blocks| blocks.all),
+        unlit_blocks: record.blocks.map(|blocks| blocks.unlit),
         seconds: record.busy_seconds,
         bad_samples: record.bad_samples,
     }))

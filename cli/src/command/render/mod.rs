@@ -120,6 +120,10 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         }
     } else {
         asked.explain(say);
+        asked.warn_of_hidden_lamps(say);
+        if asked.settings.method == femc_pipeline::Method::Fem {
+            asked.warn_of_bent_light(say);
+        }
         let old = if args.fresh { Old::Discard } else { Old::Keep };
         let order = Order {
             asked: &asked,

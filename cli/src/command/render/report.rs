@@ -1,6 +1,7 @@
 //! What a render says at its end.
 
-use crate::output::{Say, human};
+use crate::output::{Say, error, human};
+use femc_model::Blocks;
 use serde::Serialize;
 use std::fmt;
 
@@ -23,8 +24,11 @@ pub struct Report {
     pub seconds: f64,
     /// Mean samples a pixel over all frames.
     pub spp: f64,
-    /// Worst relative error of a frame, where it is known.
+    /// Worst relative error of a frame, where it is known; none where no sample met light.
     pub relative_error: Option<f64>,
+    /// Blocks of 16x16 pixels in all frames, where they are known, and those in which no sample met light.
+    pub blocks: Option<u32>,
+    pub unlit_blocks: Option<u32>,
     /// Camera samples in all frames.
     pub samples: u64,
     /// Samples left out because they were not finite, negative or beyond all range.
@@ -56,8 +60,11 @@ pub struct FrameReport {
     pub file: String,
     /// Samples a pixel.
     pub spp: u32,
-    /// Worst relative error of a block at 95 % confidence, where it is known.
+    /// Worst relative error of a block at 95 % confidence, where it is known; none where no sample met light.
     pub relative_error: Option<f64>,
+    /// Blocks of 16x16 pixels, where they are known, and those in which no sample met light.
+    pub blocks: Option<u32>,
+    pub unlit_blocks: Option<u32>,
     /// Seconds that workers spent on it, summed.
     pub seconds: f64,
     /// Samples left out.
@@ -122,12 +129,24 @@ impl Report {
         self.spp = spp as f64 / frames.len().max(1) as f64;
         self.samples = spp * pixels;
         self.relative_error = frames.iter().filter_map(|frame| frame.relative_error).reduce(f64::max);
+        let sum = |count: fn(&FrameReport) -> Option<u32>| frames.iter().filter_map(count).reduce(u32::saturating_add);
+        (self.blocks, self.unlit_blocks) = (sum(|frame| frame.blocks), sum(|frame| frame.unlit_blocks));
         self.bad_samples = frames.iter().map(|frame| frame.bad_samples).sum();
         self.frames = frames;
     }
 
     /// Warnings on stderr, of what must not pass unseen.
     pub fn warn(&self, say: Say) {
+        if let [first, others @ ..] = self.dark().as_slice() {
+            let frames = match others.len() {
+                0 => format!("frame {first}"),
+                more => format!("frame {first} and {}", human::count(more as u64, "more frame")),
+            };
+            let scene = &self.scene;
+            say.warning(format!(
+                "no sample of {frames} met light; `femc check {scene}` names lamps that light nothing"
+            ));
+        }
         if self.bad_samples > 0 {
             let all = human::count(self.bad_samples, "bad sample");
             say.warning(format!(
@@ -140,6 +159,12 @@ impl Report {
         }
     }
 
+    /// Frames none of whose samples met light.
+    fn dark(&self) -> Vec<u32> {
+        let is_dark = |frame: &&FrameReport| blocks(frame.blocks, frame.unlit_blocks).is_some_and(Blocks::is_dark);
+        self.frames.iter().filter(is_dark).map(|frame| frame.frame).collect()
+    }
+
     /// For people, on stdout.
     pub fn print(&self, say: Say) {
         let [width, height] = self.size;
@@ -148,8 +173,8 @@ impl Report {
             frames => format!("{}: {} frames", self.out, frames.len()),
         };
         let mut line = format!("{what}, {width}x{height} pixels, {} samples a pixel", trimmed(self.spp));
-        if let Some(error) = self.relative_error.filter(|error| error.is_finite()) {
-            line += &format!(", relative error {}", human::percent(error));
+        if let Some(error) = error::words(self.relative_error, blocks(self.blocks, self.unlit_blocks)) {
+            line += &format!(", {error}");
         }
         if let Some(ev) = self.exposure_ev {
             line += &format!(", exposure EV {ev:.1}");
@@ -164,6 +189,11 @@ impl Report {
             say.result(made);
         }
     }
+}
+
+/// Counts of blocks, where both are known.
+fn blocks(all: Option<u32>, unlit: Option<u32>) -> Option<Blocks> {
+    Some(Blocks { all: all?, unlit: unlit? })
 }
 
 /// A number without decimals that say nothing.
@@ -182,6 +212,8 @@ mod tests {
             file: format!("{frame}.exr"),
             spp,
             relative_error,
+            blocks: Some(4),
+            unlit_blocks: Some(if relative_error.is_some() { 1 } else { 4 }),
             seconds: 1.0,
             bad_samples: 2,
         };
@@ -189,5 +221,6 @@ mod tests {
         report.sum(vec![frame(1, 16, Some(0.1)), frame(2, 32, Some(0.2)), frame(3, 16, None)]);
         assert_eq!((report.samples, report.bad_samples, report.relative_error), (512, 6, Some(0.2)));
         assert_eq!(report.files, ["1.exr", "2.exr", "3.exr"]);
+        assert_eq!((report.blocks, report.unlit_blocks, report.dark()), (Some(12), Some(6), vec![3]));
     }
 }

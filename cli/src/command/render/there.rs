@@ -6,6 +6,7 @@ use crate::exit::{Failure, failed};
 use crate::request::Asked;
 use crate::request::picture;
 use crate::values::Exposure;
+use femc_film::convergence::BLOCK;
 use std::path::Path;
 
 /// What the file of a finished frame says.
@@ -17,6 +18,8 @@ pub struct Wanted {
     scene: String,
     exposure: Exposure,
     beside: Beside,
+    /// Blocks of pixels of a frame.
+    blocks: u32,
 }
 
 impl Wanted {
@@ -25,7 +28,8 @@ impl Wanted {
         let settings = serde_json::to_value(asked.settings.stated()).map_err(failed)?;
         let allocation = asked.settings.allocation.as_ref().map(serde_json::to_value).transpose().map_err(failed)?;
         let (scene, beside) = (asked.scene().digest().to_string(), Beside::of(&asked.settings));
-        Ok(Self { settings, allocation, scene, exposure, beside })
+        let blocks = asked.film().map(|pixels| pixels.div_ceil(BLOCK)).iter().product();
+        Ok(Self { settings, allocation, scene, exposure, beside, blocks })
     }
 
     /// The frame in `path`, if it is there, whole, and of this build of the engine, scene and settings.
@@ -45,12 +49,16 @@ impl Wanted {
             return None;
         }
         let number = |name| says(name)?.parse::<f64>().ok();
+        let unlit_blocks = says("unlit_blocks").and_then(|unlit| unlit.parse().ok());
+        let is_dark = unlit_blocks == Some(self.blocks);
         Some(FrameReport {
             frame,
             file: path.display().to_string(),
             // The mean over the film, from which samples that were left out are missing.
             spp: number("spp")?.ceil() as u32,
-            relative_error: number("relative_error"),
+            relative_error: number("relative_error").filter(|error| error.is_finite() && !is_dark),
+            blocks: Some(self.blocks),
+            unlit_blocks,
             seconds: number("seconds")?,
             bad_samples: says("bad_samples").and_then(|text| account(frame, text)).map_or(0, |bad| bad.total()),
         })

@@ -243,7 +243,9 @@ fn together(jobs: &[&JobStatus], queued: &[Queued<'_>]) -> Snapshot {
         sum.tiles_done += one.tiles_done;
         sum.tiles += one.tiles;
         sum.samples += one.samples;
-        sum.relative_error = one.relative_error.or(sum.relative_error);
+        if one.blocks.is_some() || one.relative_error.is_some() {
+            (sum.relative_error, sum.blocks) = (one.relative_error, one.blocks);
+        }
         weighted += one.fraction * one.frames as f64;
     }
     Snapshot { fraction: weighted / sum.frames.max(1) as f64, ..sum }

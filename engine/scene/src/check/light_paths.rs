@@ -2,7 +2,7 @@
 //!
 //! Found by a few hundred walks from each camera. What they find is there; what they do not find may be there, too.
 
-use super::{Faults, Scope, WHOLE, materials::title};
+use super::{Faults, Scope, WHOLE, hidden_lamps::BLACK, materials::title};
 use crate::{
     FaultKind::{Camera as CameraFault, EnergyTrap, OneSidedWall},
     Severity::Warning,
@@ -34,10 +34,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         let is_enclosed = found.begun > 0 && found.escaped == 0;
         closed &= is_enclosed;
         if is_enclosed && found.lit == 0 && !glows && !lamps.is_empty() {
-            let message = format!(
-                "camera `{}` is enclosed by surfaces that no light gets into: its picture is black",
-                camera.name
-            );
+            let message = format!("camera `{}` is enclosed by surfaces that no light gets into: {BLACK}", camera.name);
             faults.add(Warning, CameraFault, camera.location, message, "move it out of the solid, or put a lamp in");
         }
     }
@@ -100,7 +97,7 @@ fn look(scope: &Scope<'_>, camera: &Camera, lamps: &[LampPoint], backs: &mut Bac
 }
 
 /// A ray of the camera's view.
-fn view(scope: &Scope<'_>, camera: &Camera, dice: &mut Dice) -> Option<Ray> {
+pub(super) fn view(scope: &Scope<'_>, camera: &Camera, dice: &mut Dice) -> Option<Ray> {
     let camera = camera.at(&scope.scene.paths, scope.time);
     let forward = (camera.target - camera.origin).try_normalize()?;
     let right = forward.cross(camera.up).try_normalize()?;

@@ -84,7 +84,7 @@ fn anything_shines(scope: &Scope<'_>) -> bool {
 }
 
 /// One-sided lamps whose front another surface covers.
-fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
+pub(super) fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
     let materials = &scope.scene.materials;
     let emits: Vec<bool> = materials.iter().map(|m| m.sides == Sides::One && emittance(scope, m) > 0.0).collect();
     // Face in its place -> its area, the part of it that is covered, where it is.

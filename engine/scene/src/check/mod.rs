@@ -9,6 +9,7 @@ mod cameras;
 mod closed;
 mod coplanar;
 mod faces;
+mod hidden_lamps;
 mod light_paths;
 mod lights;
 mod materials;
@@ -165,9 +166,23 @@ pub fn check(scene: &Scene) -> Vec<Fault> {
         overlap::check,
         closed::check,
         light_paths::check,
+        hidden_lamps::check,
     ] {
         part(&scope, &mut faults);
     }
+    in_order(faults)
+}
+
+/// Lamps whose light no method finds, in the order of [`check`], of which they are a part.
+pub fn lamps_without_light(scene: &Scene) -> Vec<Fault> {
+    let mut faults = Faults::default();
+    let scope = Scope::new(scene);
+    lights::covered_lamps(&scope, &mut faults);
+    hidden_lamps::check(&scope, &mut faults);
+    in_order(faults)
+}
+
+fn in_order(faults: Faults) -> Vec<Fault> {
     let mut faults = faults.0;
     faults.sort_by(|a, b| key(a).cmp(&key(b)));
     faults.dedup();

@@ -61,6 +61,8 @@ impl PlacedQuadric {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlacedLuminaire<'a> {
     pub place: DVec3,
+    /// From the luminaire's own frame.
+    pub to_world: Transform,
     pub luminaire: &'a Luminaire,
 }
 
@@ -202,7 +204,7 @@ impl<'a> Scope<'a> {
             let shown = |object| self.is_shown(object);
             let lamps = group.luminaires.iter().filter(|lamp| shown(lamp.object)).map(|luminaire| {
                 let place = to_world.transform_point3(luminaire.to_group.translation);
-                PlacedLuminaire { place, luminaire }
+                PlacedLuminaire { place, to_world: to_world * luminaire.to_group, luminaire }
             });
             let curved = group.quadrics.iter().filter(|quadric| shown(quadric.object)).map(|quadric| {
                 let shape = placed_shape(&quadric.shape, &to_world);

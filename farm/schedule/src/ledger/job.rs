@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use femc_model::{
-    Control, Cut, Digest, Epoch, Failure, FrameRecord, Grains, Input, JobSpec, Need, Output, Scope, Stage, TaskKey,
-    TaskResult, Tick,
+    Blocks, Control, Cut, Digest, Epoch, Failure, FrameRecord, Grains, Input, JobSpec, Need, Output, Scope, Stage,
+    TaskKey, TaskResult, Tick,
 };
 use serde::{Deserialize, Serialize};
 
@@ -77,6 +77,7 @@ pub(crate) struct Job {
     /// Frames that only a retry can move.
     pub(crate) blocked: BTreeSet<u32>,
     pub(crate) relative_error: Option<f64>,
+    pub(crate) blocks: Option<Blocks>,
     submitted: Tick,
     cut: Cut,
     pub(crate) shared: Option<Shared>,
@@ -119,6 +120,7 @@ impl Job {
             finished: BTreeMap::new(),
             blocked: BTreeSet::new(),
             relative_error: None,
+            blocks: None,
             submitted: now,
             cut,
             shared,
@@ -323,7 +325,9 @@ impl Job {
         let Some(unit) = self.units.get_mut(&frame) else { return Vec::new() };
         let mut released = unit.done(&shape, &task.stage, &(task.index..end), (epoch, leased), result);
         if frame != Stage::OF_JOB {
-            self.relative_error = result.relative_error.or(self.relative_error);
+            if result.blocks.is_some() || result.relative_error.is_some() {
+                (self.relative_error, self.blocks) = (result.relative_error, result.blocks);
+            }
         }
         if unit.is_finished(&shape) {
             let last = (task.stage, task.index, epoch);
@@ -651,6 +655,7 @@ fn finished(shape: &Shape<'_>, unit: &Unit, frame: u32, last: (Stage, u32, Epoch
             outputs: results.map(|(.., output)| output).collect(),
             spp: (unit.units / pixels) as u32,
             relative_error: unit.relative_error,
+            blocks: unit.blocks,
             bad_samples: unit.bad_samples,
             busy_seconds: unit.busy_seconds,
             seconds: now.since(unit.began) as f64 / 1000.0,

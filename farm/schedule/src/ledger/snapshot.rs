@@ -46,7 +46,7 @@ pub enum SnapshotError {
 
 impl Ledger {
     /// First byte of snapshots and of facts; those of other versions are refused.
-    pub const VERSION: u8 = 8;
+    pub const VERSION: u8 = 9;
 
     /// Version and content, for a snapshot.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use femc_model::{
-    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Graph, Input, Loop, Output, Reach, Role, Round, Scope,
-    Stage, Taken, TaskResult, Tick, Uneven,
+    Blocks, Decision, Digest, Epoch, Failure, FrameRecord, Grains, Graph, Input, Loop, Output, Reach, Role, Round,
+    Scope, Stage, Taken, TaskResult, Tick, Uneven,
 };
 use serde::{Deserialize, Serialize};
 use smallvec::SmallVec;
@@ -90,6 +90,7 @@ pub(crate) struct Unit {
     pub(crate) bad_samples: u64,
     pub(crate) busy_seconds: f64,
     pub(crate) relative_error: Option<f64>,
+    pub(crate) blocks: Option<Blocks>,
     /// It was finished before, and something of it is gone.
     pub(crate) is_again: bool,
 }
@@ -108,6 +109,7 @@ impl Unit {
             bad_samples: 0,
             busy_seconds: 0.0,
             relative_error: None,
+            blocks: None,
             is_again: false,
         }
     }
@@ -291,7 +293,9 @@ impl Unit {
         }
         self.began = self.began.min(leased);
         self.busy_seconds += result.seconds;
-        self.relative_error = result.relative_error.or(self.relative_error);
+        if result.blocks.is_some() || result.relative_error.is_some() {
+            (self.relative_error, self.blocks) = (result.relative_error, result.blocks);
+        }
         self.units += result.units;
         self.bad_samples += result.bad_samples;
         if stage.kind.is_cut() {

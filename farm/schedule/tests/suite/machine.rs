@@ -876,6 +876,7 @@ impl Machine {
             units: if template.kind.is_cut() { 64 * held.work.steps.len() as u64 } else { 0 },
             bad_samples: 1,
             relative_error: Some(0.1),
+            blocks: Some(Blocks { all: 4, unlit: 1 }),
             decision,
             seconds: milliseconds as f64 / 1000.0,
         }

@@ -20,7 +20,11 @@ pub struct JobJson {
     samples_most: u64,
     samples_per_second: f64,
     bad_samples: u64,
+    /// Of the frame measured last; `None` also where it met no light.
     relative_error: Option<f64>,
+    /// Blocks of that frame, and those in which no sample met light.
+    blocks: Option<u32>,
+    unlit_blocks: Option<u32>,
     seconds: f64,
     /// When it was submitted, Unix seconds by the farm's clock.
     submitted: Option<f64>,
@@ -44,6 +48,8 @@ struct ActiveJson {
     running: u32,
     samples: u64,
     relative_error: Option<f64>,
+    blocks: Option<u32>,
+    unlit_blocks: Option<u32>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -70,6 +76,8 @@ impl From<&JobStatus> for JobJson {
             samples_per_second: job.samples_per_second,
             bad_samples: job.bad_samples,
             relative_error: job.relative_error,
+            blocks: job.blocks.map(|blocks| blocks.all),
+            unlit_blocks: job.blocks.map(|blocks| blocks.unlit),
             seconds: job.seconds,
             submitted: job.submitted.map(|milliseconds| milliseconds as f64 / 1000.0),
             workers: job.workers,
@@ -103,6 +111,8 @@ impl From<&FrameProgress> for ActiveJson {
             running: frame.running,
             samples: frame.samples_done,
             relative_error: frame.relative_error,
+            blocks: frame.blocks.map(|blocks| blocks.all),
+            unlit_blocks: frame.blocks.map(|blocks| blocks.unlit),
         }
     }
 }
@@ -221,6 +231,7 @@ mod tests {
             samples_per_second: 0.0,
             bad_samples: 0,
             relative_error: None,
+            blocks: None,
             seconds: 0.0,
             quarantined: Vec::new(),
             stale_messages: 0,

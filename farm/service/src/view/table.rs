@@ -14,7 +14,11 @@ pub struct FrameJson {
     tiles: u32,
     running: u32,
     samples: u64,
+    /// `None` also where no sample met light.
     relative_error: Option<f64>,
+    /// Blocks of the frame, and those in which no sample met light.
+    blocks: Option<u32>,
+    unlit_blocks: Option<u32>,
     /// From the first lease to the last result, once it is done.
     seconds: Option<f64>,
     has_image: bool,
@@ -40,6 +44,10 @@ impl FrameJson {
     /// - `pixels`: of the film.
     pub fn new(frame: &FrameStatus, pixels: u64) -> Self {
         let (progress, record) = (frame.progress.as_ref(), frame.record.as_ref());
+        let blocks = match record {
+            Some(record) => record.blocks,
+            None => progress.and_then(|progress| progress.blocks),
+        };
         let of_record = record.map(|record| u64::from(record.spp) * pixels);
         Self {
             frame: frame.frame,
@@ -49,9 +57,12 @@ impl FrameJson {
             tiles: progress.map_or(0, |progress| progress.tiles_total),
             running: progress.map_or(0, |progress| progress.running),
             samples: progress.map(|progress| progress.samples_done).or(of_record).unwrap_or(0),
-            relative_error: record
-                .and_then(|record| record.relative_error)
-                .or_else(|| progress.and_then(|progress| progress.relative_error)),
+            relative_error: match record {
+                Some(record) => record.relative_error,
+                None => progress.and_then(|progress| progress.relative_error),
+            },
+            blocks: blocks.map(|blocks| blocks.all),
+            unlit_blocks: blocks.map(|blocks| blocks.unlit),
             seconds: record.map(|record| record.seconds),
             has_image: record.is_some_and(|record| record.output(Role::Image).is_some()),
             outputs: record.map_or_else(Vec::new, |record| record.outputs.iter().map(OutputJson::from).collect()),

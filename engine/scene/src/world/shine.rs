@@ -1,0 +1,150 @@
+//! The way of light from a lamp, as the methods of rendering find it.
+//!
+//! Paths start at the camera. So a one-sided surface without an index stops light that comes to its back, as a viewer on the
+//! other side looks at its front, and lets light through that comes to its front, as a viewer behind looks through it.
+
+use super::{Dice, Hit, Ray, Scope};
+use crate::description::{Material, MaterialId, RegionBounds, Sides};
+use femc_math::glam::DVec3;
+
+/// Surfaces that are passed or reflect on one way.
+const PASSED: u32 = 64;
+/// Roughness up to which a lobe is a perfect mirror or perfectly clear, as in the renderer.
+const SMOOTH: f64 = 1e-4;
+/// Distance of an index of refraction from 1 up to which nothing bends, as in the renderer.
+const MATCHED: f64 = 1e-3;
+/// Optical depth from which on a medium shows the light that passes through it.
+const SHOWS: f64 = 0.05;
+
+/// A place that light of a lamp arrives at, and from which it is scattered.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LitPlace {
+    /// The place, just before the surface.
+    pub place: DVec3,
+    /// Unit normal of the side that is lit; `None`: both sides, or a place in a medium.
+    pub normal: Option<DVec3>,
+}
+
+/// End of the way of light.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Shone {
+    /// It left the scene.
+    Escaped,
+    /// Something scatters it.
+    Lit(LitPlace),
+    /// Light of a point met the smooth boundary of a solid that bends it.
+    Bent(MaterialId),
+    /// Light of a point met a perfect mirror.
+    Mirrored(MaterialId),
+    /// A surface stops it.
+    Stopped(MaterialId),
+}
+
+/// Effect of a surface on light that comes to one of its sides.
+#[derive(Clone, Copy, Debug, Default)]
+struct Effect {
+    /// It scatters in more than single directions.
+    scatters: bool,
+    /// It scatters to its other side, too.
+    transmits: bool,
+    /// Light goes straight through.
+    passes: bool,
+    /// Light goes through, bent.
+    bends: bool,
+    /// Light is reflected into one direction.
+    mirrors: bool,
+}
+
+fn effect(scope: &Scope<'_>, material: &Material, is_front: bool) -> Effect {
+    let entity = format!("material.{}", material.name);
+    let some = |field: &str, amount: f64| scope.scene.largest(&entity, field, amount) > 0.0;
+    let (rd, td) = (some("rd", material.rd.amount), some("td", material.td.amount));
+    let (rs, ts) = (some("rs", material.rs.amount), some("ts", material.ts.amount));
+    let rough = |field: &str, alpha: f64| scope.scene.largest(&entity, field, alpha) > SMOOTH;
+    let (rough_rs, rough_ts) = (rough("rs_alpha", material.rs_alpha), rough("ts_alpha", material.ts_alpha));
+    let index = material.ior.filter(|ior| ior.im == 0.0).map(|ior| (ior.re - 1.0).abs());
+    let is_one_sided = material.sides == Sides::One;
+    if is_one_sided && material.ior.is_none() && !is_front {
+        return Effect::default();
+    }
+    let diffuse = rd || td;
+    if let (true, true, Some(away)) = (is_one_sided, ts, index) {
+        // A boundary whose index is not exactly 1 is smooth where it is matched.
+        let is_rough = rough_ts && (away == 0.0 || away >= MATCHED);
+        let scatters = diffuse || is_rough;
+        let passes = away < MATCHED && !is_rough;
+        return Effect { scatters, transmits: td || is_rough, passes, bends: !passes, mirrors: false };
+    }
+    let scatters = diffuse || (rs && rough_rs) || (ts && rough_ts);
+    let is_seen_through = is_one_sided && material.ior.is_none();
+    Effect {
+        scatters,
+        transmits: td || (ts && rough_ts),
+        passes: (ts && !rough_ts) || is_seen_through,
+        bends: false,
+        mirrors: rs && !rough_rs,
+    }
+}
+
+/// Follows light until something scatters or stops it.
+/// - `is_point`: it comes straight from a point, which no path meets: after a mirror or a bend it is not found.
+pub(crate) fn shine(scope: &Scope<'_>, mut ray: Ray, is_point: bool, dice: &mut Dice) -> Shone {
+    let mut mirror = None;
+    for _ in 0..PASSED {
+        let Some(hit) = scope.first_hit(&ray) else { return Shone::Escaped };
+        mirror = None;
+        let Some(material) = hit.material(scope) else { return Shone::Stopped(hit.material) };
+        let is_front = hit.is_front(&ray);
+        let normal = if is_front { hit.normal } else { -hit.normal };
+        let place = ray.origin + hit.distance * ray.dir;
+        let effect = effect(scope, material, is_front);
+        if effect.scatters && !(effect.passes && dice.roll() < 0.5) {
+            let normal_of_side = (!effect.transmits).then_some(normal);
+            return Shone::Lit(LitPlace { place: place + 2.0 * scope.offset() * normal, normal: normal_of_side });
+        }
+        let lost: fn(MaterialId) -> Shone = if effect.bends { Shone::Bent } else { Shone::Mirrored };
+        if effect.passes || (effect.bends && !is_point) {
+            ray.origin = place + scope.offset() * ray.dir;
+        } else if effect.mirrors && !is_point {
+            let dir = (ray.dir - 2.0 * ray.dir.dot(normal) * normal).normalize_or(normal);
+            ray = Ray { origin: place + 2.0 * scope.offset() * normal, dir, ..ray };
+            mirror = Some(hit.material);
+        } else if let Some(lit) = in_medium(scope, &ray, &hit, is_front) {
+            return Shone::Lit(lit);
+        } else if effect.bends || effect.mirrors {
+            return lost(hit.material);
+        } else {
+            return Shone::Stopped(hit.material);
+        }
+    }
+    // Between mirrors light is caught; behind so many clear surfaces nothing is known.
+    mirror.map_or(Shone::Escaped, Shone::Stopped)
+}
+
+/// The middle of a way on which media scatter a share of the light that is seen.
+fn in_medium(scope: &Scope<'_>, ray: &Ray, hit: &Hit, is_front: bool) -> Option<LitPlace> {
+    let middle = ray.origin + 0.5 * hit.distance * ray.dir;
+    let scattering = |index: usize| {
+        let medium = scope.scene.media.get(index)?;
+        Some(scope.scene.largest(&format!("medium.{}", medium.name), "sigma_s", medium.sigma_s))
+    };
+    let regions = scope.scene.regions.iter().filter(|region| match region.bounds {
+        RegionBounds::Everywhere => true,
+        RegionBounds::Box { min, max, to_world } => {
+            let local = to_world.inverse().transform_point3(middle);
+            local.cmpge(min.min(max)).all() && local.cmple(min.max(max)).all()
+        }
+    });
+    let inside = hit.material(scope).filter(|_| !is_front).and_then(|material| material.inside);
+    let media = regions.map(|region| region.medium).chain(inside);
+    let depth = hit.distance * media.filter_map(|medium| scattering(medium.index())).sum::<f64>();
+    (depth > SHOWS).then_some(LitPlace { place: middle, normal: None })
+}
+
+/// A ray of the light that a lit place scatters.
+pub(crate) fn scattered(scope: &Scope<'_>, lit: &LitPlace, dice: &mut Dice) -> Ray {
+    let any = dice.direction();
+    let Some(normal) = lit.normal else { return Ray { origin: lit.place, dir: any, far: f64::INFINITY } };
+    let dir = (normal + 0.999 * any).normalize_or(normal);
+    Ray { origin: lit.place + scope.offset() * normal, dir, far: f64::INFINITY }
+}

@@ -2,7 +2,7 @@
 
 use super::Dice;
 use crate::description::{Photometry, PhotometryType};
-use femc_math::elementary::double::sin_cos;
+use femc_math::elementary::double::{asin, sin_cos};
 use femc_math::glam::DVec3;
 
 /// Slack of the limits of horizontal angles, degrees, as in the tables of the renderer.
@@ -87,7 +87,17 @@ impl Beams {
         let sum = self.cells.last().map_or(0.0, |cell| cell.until);
         let index = self.cells.partition_point(|cell| cell.until <= at * sum).min(self.cells.len() - 1);
         let Cell { vertical, horizontal, .. } = self.cells[index];
-        let [v, h] = [vertical, horizontal].map(|[low, high]| low + (high - low) * dice.roll());
+        let [a, b] = [dice.roll(), dice.roll()];
+        let even = |[low, high]: [f64; 2], u: f64| low + (high - low) * u;
+        // Angles about the polar axis are even, those from it by solid angle.
+        let sine = |ends: [f64; 2], u: f64| {
+            asin(even(ends.map(|degrees| sin_cos(degrees.to_radians()).0), u).clamp(-1.0, 1.0)).to_degrees()
+        };
+        let (v, h) = match self.kind {
+            PhotometryType::C => (sine(vertical.map(|v| v - 90.0), a) + 90.0, even(horizontal, b)),
+            PhotometryType::A => (sine(vertical, a), even(horizontal, b)),
+            PhotometryType::B => (even(vertical, a), sine(horizontal, b)),
+        };
         let h = match (self.symmetry, (4.0 * dice.roll()) as u32) {
             (Symmetry::Across0, 0 | 1) | (Symmetry::Quadrants, 0) => -h,
             (Symmetry::Across90, 0 | 1) | (Symmetry::Quadrants, 1) => 180.0 - h,

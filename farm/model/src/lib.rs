@@ -18,6 +18,7 @@ mod manifest;
 mod refusal;
 mod result;
 mod session;
+mod since;
 mod status;
 mod table;
 mod task;
@@ -40,6 +41,7 @@ pub use result::{Artifact, Blocks, Decision, FrameParts, FrameRecord, TaskResult
 pub use session::{
     Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, TaskUsage, ToWorker,
 };
+pub use since::{reading_version, since_version_9};
 pub use status::{
     Crew, Drain, FrameProgress, Intake, JobStatus, OfflineWorker, Quarantined, Wait, WorkerName, WorkerStatus,
 };

@@ -59,6 +59,7 @@ pub struct TaskResult {
     /// Relative error that it has measured, if it measures; `None` also where no sample has met light.
     pub relative_error: Option<f64>,
     /// Blocks that it has measured.
+    #[serde(default, deserialize_with = "crate::since_version_9")]
     pub blocks: Option<Blocks>,
     /// Of a task that closes a loop.
     pub decision: Option<Decision>,
@@ -108,6 +109,7 @@ pub struct FrameRecord {
     /// Relative error reached; `None` also where no sample has met light.
     pub relative_error: Option<f64>,
     /// Blocks of the frame, where it was measured.
+    #[serde(default, deserialize_with = "crate::since_version_9")]
     pub blocks: Option<Blocks>,
     /// Samples refused.
     pub bad_samples: u64,

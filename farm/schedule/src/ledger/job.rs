@@ -77,6 +77,7 @@ pub(crate) struct Job {
     /// Frames that only a retry can move.
     pub(crate) blocked: BTreeSet<u32>,
     pub(crate) relative_error: Option<f64>,
+    #[serde(deserialize_with = "femc_model::since_version_9")]
     pub(crate) blocks: Option<Blocks>,
     submitted: Tick,
     cut: Cut,

@@ -1,6 +1,6 @@
 //! The ledger and its facts as bytes: a version, and the rest in postcard.
 
-use femc_model::Tick;
+use femc_model::{Tick, reading_version};
 use serde::{Deserialize, Serialize};
 
 use super::Ledger;
@@ -11,8 +11,9 @@ use crate::Fact;
 pub enum SnapshotError {
     /// Written by another version.
     #[error(
-        "the farm's log is of version {found}, and this program reads version {} only: finish its jobs with the program that \
+        "the farm's log is of version {found}, and this program reads versions {} to {}: finish its jobs with the program that \
          wrote it, or begin with a new log",
+        Ledger::OLDEST_VERSION,
         Ledger::VERSION
     )]
     Version {
@@ -45,8 +46,10 @@ pub enum SnapshotError {
 }
 
 impl Ledger {
-    /// First byte of snapshots and of facts; those of other versions are refused.
+    /// First byte of snapshots and of facts.
     pub const VERSION: u8 = 9;
+    /// Earliest version that is read.
+    pub const OLDEST_VERSION: u8 = 8;
 
     /// Version and content, for a snapshot.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
@@ -79,13 +82,10 @@ fn encode(value: &impl Serialize) -> Result<Vec<u8>, SnapshotError> {
 }
 
 fn decode<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Result<T, SnapshotError> {
-    Ok(postcard::from_bytes(content(bytes)?)?)
-}
-
-/// What follows the version.
-fn content(bytes: &[u8]) -> Result<&[u8], SnapshotError> {
     match bytes.split_first() {
-        Some((&Ledger::VERSION, content)) => Ok(content),
+        Some((&version, content)) if (Ledger::OLDEST_VERSION..=Ledger::VERSION).contains(&version) => {
+            Ok(reading_version(version, || postcard::from_bytes(content))?)
+        }
         Some((&found, _)) => Err(SnapshotError::Version { found }),
         None => Err(SnapshotError::Empty),
     }

@@ -90,6 +90,7 @@ pub(crate) struct Unit {
     pub(crate) bad_samples: u64,
     pub(crate) busy_seconds: f64,
     pub(crate) relative_error: Option<f64>,
+    #[serde(deserialize_with = "femc_model::since_version_9")]
     pub(crate) blocks: Option<Blocks>,
     /// It was finished before, and something of it is gone.
     pub(crate) is_again: bool,

@@ -722,8 +722,10 @@ fn a_snapshot_of_another_version_is_refused_and_a_damaged_one_too() {
     assert_eq!(Ledger::decode(&bytes).as_ref(), Ok(farm.scheduler.ledger()));
     bytes.truncate(bytes.len() - 1);
     assert!(matches!(Ledger::decode(&bytes), Err(SnapshotError::Damaged(_))));
-    bytes[0] = 9;
-    assert_eq!(Ledger::decode(&bytes), Err(SnapshotError::Version { found: 9 }));
+    for found in [Ledger::OLDEST_VERSION - 1, Ledger::VERSION + 1] {
+        bytes[0] = found;
+        assert_eq!(Ledger::decode(&bytes), Err(SnapshotError::Version { found }));
+    }
     assert_eq!(Ledger::decode(&[]), Err(SnapshotError::Empty));
 }
 

@@ -1,0 +1,35 @@
+//! Fields that later versions of the farm's log have and earlier ones have not.
+//!
+//! The log is postcard, which stores fields by position. A field that version N added is marked with
+//! `#[serde(deserialize_with = "since_version_N")]`: while content of an earlier version is read ([`reading_version`]), the field
+//! takes no bytes and has its default. The price is a variable of the thread; the alternative is a second set of all structs.
+
+use std::cell::Cell;
+
+use serde::{Deserialize, Deserializer};
+
+thread_local! {
+    /// Version of the log that is read on this thread.
+    static READING: Cell<u8> = const { Cell::new(u8::MAX) };
+}
+
+/// Result of `read`, to which fields that are newer than `version` are absent.
+pub fn reading_version<T>(version: u8, read: impl FnOnce() -> T) -> T {
+    /// Restores the version, also when `read` panics.
+    struct Restore(u8);
+    impl Drop for Restore {
+        fn drop(&mut self) {
+            READING.set(self.0);
+        }
+    }
+    let _restore = Restore(READING.replace(version));
+    read()
+}
+
+/// A field that version 9 of the log added.
+///
+/// # Errors
+/// The field is damaged.
+pub fn since_version_9<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
+    if READING.get() < 9 { Ok(T::default()) } else { T::deserialize(from) }
+}

@@ -398,7 +398,7 @@ mod tests {
         let source = source("door-ajar");
         let large = chosen(&source, [320, 240], Stop::Spp(1024));
         assert_eq!(large.method, Method::Femc, "{large:?}");
-        let found = large.pilot.expect("a pilot");
+        let found = large.pilot.as_ref().expect("a pilot");
         assert!(found.most_gain > 4.0 && found.gain.is_some_and(|gain| gain > 1.2), "{large:?}");
         assert_eq!(chosen(&source, [320, 240], Stop::Spp(1024)), large, "a fact of the job");
         let few = chosen(&source, [320, 240], Stop::Spp(16));
@@ -413,7 +413,7 @@ mod tests {
     fn an_error_is_worth_as_much_as_the_samples_that_it_takes() {
         let source = source("door-ajar");
         let [coarse, fine] = [0.5, 0.005].map(|error| chosen(&source, [160, 120], Stop::Error(error)));
-        let spp = |choice: &Choice| choice.pilot.expect("a pilot").samples_a_pixel;
+        let spp = |choice: &Choice| choice.pilot.as_ref().expect("a pilot").samples_a_pixel;
         assert!(spp(&fine) > 100.0 * spp(&coarse), "{coarse:?} {fine:?}");
         assert_eq!((coarse.method, fine.method), (Method::Pt, Method::Femc));
     }
@@ -429,7 +429,7 @@ mod tests {
         std::fs::write(&path, text).expect("a file");
         let scene = femc_import::load_path(&path).expect("a scene").scene;
         let choice = chosen(&Source::new(Arc::new(scene)), [512, 512], Stop::Spp(4096));
-        let pilot = choice.pilot.expect("a pilot");
+        let pilot = choice.pilot.as_ref().expect("a pilot");
         assert_eq!((choice.method, pilot.most_gain, pilot.gain), (Method::Pt, 1.0, None), "{choice:?}");
     }
 }

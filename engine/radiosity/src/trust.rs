@@ -12,7 +12,7 @@ use femc_prepared::Prepared;
 pub const MOST_KEPT: f64 = 1.1;
 /// Light that further iterations may bring, as a share of all light. Where surfaces take hardly any light, iterations end with
 /// some of it still on its way.
-pub const MOST_LEFT: f32 = 0.02;
+pub const MOST_LEFT: f32 = 0.05;
 
 /// Reason why a solution cannot be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

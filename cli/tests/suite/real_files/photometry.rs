@@ -46,7 +46,7 @@ fn decimal_commas_are_named_and_commas_that_separate_work() {
     assert_lumens(&place, "flux-points.mgf", 2549.0);
     assert_lumens(&place, "flux-separators.mgf", 2549.0);
     let said = said(&place.run("check flux-commas.mgf").exits(1));
-    assert!(said.contains("lamp-commas.ies:8:1: `1200,5`: decimal commas cannot be read"), "{said}");
+    assert!(said.contains("lamp-commas.ies:8:1: error: `1200,5`: decimal commas cannot be read"), "{said}");
     assert!(said.contains("write decimal points"), "{said}");
 }
 
@@ -70,7 +70,7 @@ fn what_follows_the_last_intensity_is_an_error() {
     assert_lumens(&place, "flux-points.mgf", 2549.0);
     place.write("lamp-points.ies", &format!("{file}0.5\n"));
     let said = said(&place.run("check flux-points.mgf").exits(1));
-    assert!(said.contains("lamp-points.ies:9:1: 1 number follows the last intensity"), "{said}");
+    assert!(said.contains("lamp-points.ies:9:1: error: 1 number follows the last intensity"), "{said}");
 }
 
 #[test]
@@ -84,7 +84,7 @@ fn a_file_of_exactly_1000_lumens_has_a_hint_unless_it_is_scaled() {
     assert!(checked.contains("lamp-point.ies:4: note: this file gives exactly 1000 lm"), "{checked}");
     assert!(checked.contains("as in `ies FILE -m 2.5` for 2500 lm"), "{checked}");
     let rendered = said(&place.run("render hint.mgf -o hint.exr --size 4x4 --spp 1").exits(0));
-    assert!(rendered.contains("note: lamp-point.ies:4:3: this file gives exactly 1000 lm"), "{rendered}");
+    assert!(rendered.contains("note: lamp-point.ies:4: this file gives exactly 1000 lm"), "{rendered}");
     place.write("hint.mgf", &scene.replace(".ies", ".ies -m 2.5"));
     let (lumens, report) = lumens(&place, "hint.mgf");
     assert!((lumens - 2500.0).abs() < 1.0 && !report.to_string().contains("1000 lm"), "{report}");

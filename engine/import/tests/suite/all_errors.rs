@@ -115,7 +115,7 @@ fn a_scene_with_one_fault_lists_one() {
             &[
                 ("closes.mgf", "xf\n"),
                 ("part.mgf", "v a =\np x 0 0\n"),
-                ("lamp.ies", "TILT=NONE\n1 1 1 1 1 1 1 0 0 0 1 1 1 0 0 5\n"),
+                ("lamp.ies", "TILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 0 90 0 5 5\n"),
                 ("short.ies", "TILT=NONE\n1 1 1 2 1 1 1 0 0 0 1 1 1 0 90 0 5\n"),
             ],
         );

@@ -140,7 +140,10 @@ fn absorption_is_tinted_by_a_raw_color_of_its_own() {
 #[test]
 fn objects_nest_with_dotted_names_and_reopen_as_themselves() {
     let text = "v a =\no car\nsph a 1\no wheel\nsph a 1\no\nsph a 1\no\nsph a 1\no car\no wheel\nsph a 1\no\no\n";
-    let scene = scene(text);
+    let loaded = try_scene(text).unwrap();
+    let said: Vec<String> = loaded.warnings.iter().map(ToString::to_string).collect();
+    assert!(matches!(&said[..], [car, wheel] if car.starts_with("t.mgf:10:1: ") && wheel.starts_with("t.mgf:11:1: ")));
+    let scene = loaded.scene;
     let names: Vec<_> = scene.objects.iter().map(|o| (o.name.as_str(), o.parent)).collect();
     assert_eq!(names, [("car", None), ("car.wheel", Some(ObjectId(0)))]);
     let held: Vec<_> = scene.groups[0].quadrics.iter().map(|q| q.object.map(|o| o.0)).collect();

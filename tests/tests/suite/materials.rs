@@ -59,10 +59,12 @@ fn material(rng: &mut Rng, name: &str, opaque: bool) -> String {
 /// Directional albedo by `n^3` stratified samples, with the square of the index of refraction taken out.
 fn albedo(kernel: &KernelMaterial, texel: Option<Rgb>, wo: Vec3A, n: u32) -> Rgb {
     let bsdf = texel.map_or(kernel.bsdf, |texel| kernel.textured(texel));
-    let at = |k: u32| (k as f32 + 0.5) / n as f32;
+    let mut rng = Rng::new(52);
+    let mut at = |k: u32| ((f64::from(k) + unit(&mut rng)) / f64::from(n)).min(1.0 - 1e-7) as f32;
     let mut sum = Rgb::ZERO;
     for k in 0..n * n * n {
-        if let Some(s) = bsdf.sample(wo, [at(k % n), at(k / n % n)], at(k / n / n)) {
+        let (u, choice) = ([at(k % n), at(k / n % n)], at(k / n / n));
+        if let Some(s) = bsdf.sample(wo, u, choice) {
             assert!(s.weight.is_finite() && s.pdf > 0.0, "{kernel:?}, {wo}: {s:?}");
             sum += s.weight * s.eta * s.eta;
         }

@@ -58,7 +58,7 @@ fn old_line_ends_utf_16_and_byte_order_marks_are_read_in_lamps_and_scenes() {
     }
     let bounds = |scene: &str| place.run(&format!("check {scene} --json")).exits(0).json()["bounds"].clone();
     let expected = bounds("flux-points.mgf");
-    assert!(expected["min"][0] == Value::from(-2.0), "{expected}");
+    assert!(expected["min"][0] == -2.0, "{expected}");
     assert_eq!([bounds("scene-cr.mgf"), bounds("scene-utf16.mgf")], [expected.clone(), expected]);
 }
 

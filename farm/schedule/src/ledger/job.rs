@@ -325,10 +325,8 @@ impl Job {
         let shape = shape!(self, frame);
         let Some(unit) = self.units.get_mut(&frame) else { return Vec::new() };
         let mut released = unit.done(&shape, &task.stage, &(task.index..end), (epoch, leased), result);
-        if frame != Stage::OF_JOB {
-            if result.blocks.is_some() || result.relative_error.is_some() {
-                (self.relative_error, self.blocks) = (result.relative_error, result.blocks);
-            }
+        if frame != Stage::OF_JOB && (result.blocks.is_some() || result.relative_error.is_some()) {
+            (self.relative_error, self.blocks) = (result.relative_error, result.blocks);
         }
         if unit.is_finished(&shape) {
             let last = (task.stage, task.index, epoch);

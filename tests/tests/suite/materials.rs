@@ -4,7 +4,7 @@ use femc_film::Frame;
 use femc_math::Rgb;
 use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_math::glam::Vec3A;
-use femc_pipeline::radiosity::{Options, solve};
+use femc_pipeline::radiosity::{Options, Untrusted, solve};
 use femc_pipeline::{Method, Prepared, Settings, Source, Stop, plan, prepare, render_tile};
 use femc_prepared::KernelMaterial;
 use femc_tests::rng::Rng;
@@ -137,8 +137,11 @@ fn rooms_of_random_materials_are_no_brighter_than_their_lamp_and_have_no_bad_sam
         let median = luminances[luminances.len() / 2];
         assert!(median <= 1000.0 / std::f32::consts::PI, "{k}: {median}: {text}");
         let solved = solve(&prepared, &Options::default(), &AtomicBool::new(false)).expect("nobody cancels");
-        let kept = solved.verify(&prepared);
-        assert!(kept.is_ok() || solved.report.bounded, "{k}: {kept:?}: {:?}: {text}", solved.report);
+        // Mirrors are found by few rays, so a sound solution may keep a little too much; a material that gains multiplies light.
+        let verdict = solved.verify(&prepared);
+        let is_sound = matches!(verdict, Ok(()) | Err(Untrusted::Restless { .. }))
+            || matches!(verdict, Err(Untrusted::Gains { ratio }) if ratio < 1.5);
+        assert!(is_sound && solved.report.residual.is_finite(), "{k}: {verdict:?}: {:?}: {text}", solved.report);
     }
 }
 

@@ -189,7 +189,7 @@ mod tests {
                         continue;
                     };
                     let text = error.to_string();
-                    // What is missing besides means that the value was taken.
+                    // A value that is not reported as missing was taken.
                     if error.kind() == ErrorKind::MissingRequiredArgument {
                         continue;
                     }

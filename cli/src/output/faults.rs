@@ -13,7 +13,7 @@ pub const IMPORT: &str = "import";
 /// A fault.
 #[derive(Serialize)]
 pub struct Line {
-    /// How bad.
+    /// Severity.
     pub severity: Severity,
     /// Kind, in the words of `--json`.
     pub kind: String,
@@ -24,9 +24,9 @@ pub struct Line {
     /// Column of an error of the import, from 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub column: Option<u32>,
-    /// What is wrong.
+    /// Description of the fault.
     pub message: String,
-    /// What to do about it.
+    /// Advice on what to do.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub advice: String,
 }
@@ -44,11 +44,11 @@ impl Line {
 /// Faults of one severity and kind.
 #[derive(Serialize)]
 pub struct Kind {
-    /// How bad.
+    /// Severity.
     pub severity: Severity,
     /// Kind.
     pub kind: String,
-    /// How many.
+    /// Number of faults.
     pub count: usize,
     /// The first places, `file:line`.
     pub places: Vec<String>,
@@ -78,7 +78,7 @@ pub fn kinds(lines: &[Line]) -> Vec<Kind> {
     groups(lines).into_iter().map(kind).collect()
 }
 
-/// Which lines are printed.
+/// Choice of the lines that are printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
     /// A line for each kind.

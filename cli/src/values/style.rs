@@ -43,7 +43,7 @@ impl Style {
         }
     }
 
-    /// What the transparency of the painting becomes; `None`: it is opaque.
+    /// Warning on the painting's transparency; `None`: it is opaque.
     pub fn paper(&self) -> Option<String> {
         (self.transparent > 0.0).then(|| {
             format!(

@@ -20,7 +20,7 @@ fn a_scene_reads_what_lies_below_its_root_and_says_so() {
     let place = divided();
     for command in ["render", "plan", "check"] {
         let ran = place.run(&format!("{command} models/room/room.mgf")).exits(1);
-        // What `check` is asked for is on stdout.
+        // Errors of the scene are the result of `check`: they are on stdout.
         let refused = if command == "check" { ran.stdout() } else { ran.stderr() };
         assert!(refused.contains("models/room/room.mgf:") && refused.contains("--root"), "{command}: {refused}");
     }

@@ -73,7 +73,7 @@ pub enum Oddity {
     ObjectAgain {
         /// Its full name.
         name: String,
-        /// Where it was opened first.
+        /// Place of its first opening.
         first: Position,
     },
     /// `o` or `xf` still open at the end of the file that opened it; closed there.

@@ -88,7 +88,7 @@ pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
     Ok(if report.errors > 0 { Exit::Failed } else { Exit::Done })
 }
 
-/// How much of a scene was imported.
+/// Part of a scene that was imported.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Imported {
     /// All of it.

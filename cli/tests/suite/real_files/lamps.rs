@@ -35,7 +35,7 @@ const BOX: &str = "v b0 =\n\tp -.15 -.15 1.15\nv b1 =\n\tp .15 -.15 1.15\nv b2 =
 const CAN: &str = "cyl bottom .15 top\nv top =\n\tp 0 0 1.15\n\tn 0 0 1\nring top 0 .15\nv bottom =\n\tp 0 0 .85\n\tn 0 0 -1\n\
     ring bottom .02 .15\n";
 
-/// What is around the lamps: material and surfaces.
+/// Enclosures of the lamps: material and surfaces.
 const AROUND: [(&str, &str, &str); 16] = [
     ("nothing", "", ""),
     ("ball of glass", "sides 1\n\tir 1.5 0\n\tts 1 0", BALL),
@@ -89,7 +89,7 @@ fn a_point_in_solid_glass_is_named_and_a_bulb_is_found() {
     assert!((found / 12.4 - 1.0).abs() < 0.05, "{found}");
 }
 
-/// Of every lamp in every enclosure: there is a warning just where the picture is black.
+/// Every lamp in every enclosure has a warning if and only if its picture is black.
 #[test]
 fn a_lamp_is_named_just_where_no_sample_meets_its_light() {
     let place = place();

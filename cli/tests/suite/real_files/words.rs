@@ -154,7 +154,7 @@ fn warnings_are_grouped_in_front_of_a_render_as_in_check() {
         let [line] = lines[..] else { panic!("{text}") };
         assert!(line.starts_with("warning: odd.mgf:2: 40 (negative-spectrum), the first: "), "{line}");
         assert!(line.contains("and 36 more places; `femc check odd.mgf --all` lists them"), "{line}");
-        // The same words in both.
+        // Both print equal words.
         let words = line.trim_start_matches("warning: odd.mgf:2: ").split(" (also at").next().expect("words");
         assert!(check.contains(words), "{check}");
     }

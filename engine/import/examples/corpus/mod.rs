@@ -213,7 +213,7 @@ pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
     match rng.below(6) {
         // Nothing before the photometry can fail.
         0 | 1 => scene = b"ies lamp.ies\n".to_vec(),
-        // The same for images.
+        // Nothing before the images can fail.
         2 | 3 => scene = b"map_rd x.png\nmap_n \"x.png\"\nmap_ed x.png\nv a =\nsph a 1\n".to_vec(),
         _ => {}
     }

@@ -1,4 +1,4 @@
-//! What EXIF data say about pixels: the orientation and the color space.
+//! Statements of EXIF data about pixels: the orientation and the color space.
 
 /// Tags of EXIF that concern pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -30,7 +30,7 @@ impl Exif {
         Self { orientation: short(first, 0x0112), color_space }
     }
 
-    /// What is not used of it. A color profile in the file says more than the color space.
+    /// Remarks on what is not used. A color profile in the file says more than the color space.
     pub fn remarks(&self, is_color: bool, has_profile: bool) -> Vec<String> {
         let mut remarks = Vec::new();
         if let Some(orientation @ 2..=8) = self.orientation {

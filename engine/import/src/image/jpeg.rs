@@ -7,7 +7,7 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// What the segments of a file state about its pixels.
+/// Statements of a file's segments about its pixels.
 #[derive(Debug, Default)]
 struct Stated {
     /// Number of components.

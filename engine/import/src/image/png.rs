@@ -14,7 +14,7 @@ use std::io::Cursor;
 /// The gamma of gAMA that stands for sRGB, and the distance from it that is one of digits (1 %).
 const SRGB_GAMMA: [u32; 2] = [45_455, 455];
 
-/// What the chunks of a file state about its values.
+/// Statements of a file's chunks about its values.
 #[derive(Debug, Default, PartialEq)]
 struct Stated {
     /// Primaries, transfer function, matrix and range by ITU-T H.273.
@@ -77,7 +77,7 @@ pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
     Ok(Opened { width, height, pixels, to_rec709, remarks })
 }
 
-/// How values of a file are read.
+/// Reading of a file's values.
 struct Meaning {
     transfer: Transfer,
     range: Range,
@@ -91,7 +91,7 @@ impl Default for Meaning {
     }
 }
 
-/// Which values stand for black and white.
+/// Range of values between black and white.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Range {
     /// The least and the largest.
@@ -159,7 +159,7 @@ impl Stated {
         kind != b"gAMA" || self.gamma.is_some()
     }
 
-    /// How color values are read, by the statement that goes before the others.
+    /// Reading of color values, by the statement that goes before the others.
     fn meaning(&self, source: &Source<'_>) -> Result<Meaning, Fault> {
         let mut meaning = Meaning { remarks: self.damaged.clone(), ..Meaning::default() };
         if let Some([primaries, transfer, _, range]) = self.cicp {

@@ -3,7 +3,7 @@
 use super::Role;
 use femc_math::elementary::double as elementary;
 
-/// How values of a file stand for light.
+/// Relation of a file's values to light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Transfer {
     /// sRGB (\[iec61966\]).

@@ -79,7 +79,7 @@ fn a_name_with_blanks_and_no_quotes_says_how_to_write_it() {
         let column = line.find(' ').unwrap() + 2;
         assert!(error.starts_with(&format!("t.mgf:1:{column}: ")) && error.contains(says), "{line}: {error}");
     }
-    // What could be an option is one, where the file is there.
+    // A word that could be an option is one if the file exists.
     assert!(with("ies Plain.ies -ty 2").unwrap_err().contains("found `-ty`"));
 }
 

@@ -43,7 +43,7 @@ fn close(a: [f64; 3], b: [f64; 3], tolerance: f64) -> bool {
 
 #[test]
 fn colors_outside_rec_709_whose_mixture_is_inside_mix_without_loss_and_without_a_warning() {
-    // Of the spectrum: 500 nm and 600 nm, and a violet of the line of purples.
+    // Spectral colors of 500 nm and 600 nm, and a violet on the line of purples.
     let (green, orange, violet) = ([0.0082, 0.5384], [0.6270, 0.3725], [0.25, 0.05]);
     let [x, y] = mixed(&[(3.0, green), (4.0, orange), (0.8, violet)]);
     let define = |name: &str, [x, y]: [f64; 2]| format!("c {name} =\ncxy {x} {y}\n");

@@ -2,7 +2,7 @@
 
 use femc_layers::{Expression, LayerError};
 
-/// What becomes of an expression.
+/// Outcome of an expression.
 enum Outcome {
     /// It is read as this one is.
     Same(&'static str),

@@ -1,6 +1,6 @@
 //! Layers that stay black: whose paths need an event that nothing in the scene makes.
 //!
-//! What a scene can make is told from its description: the scattering of materials that are shown at some time, media that are placed,
+//! The events that a scene can make follow from its description: the scattering of materials that are shown at some time, media that are placed,
 //! what emits. Where a scalar varies, all that it may become counts. More is told than happens (a surface that no light reaches counts),
 //! never less, so that a layer that is named here has no light in any frame.
 
@@ -116,7 +116,7 @@ fn lack(event: &Event, vocabulary: &Vocabulary, made: &BTreeSet<(Kind, LabelSet)
     text
 }
 
-/// What makes events in a scene.
+/// Sources of events in a scene.
 struct Makers<'a> {
     scene: &'a Scene,
     /// Objects and materials of surfaces that are shown at some time.

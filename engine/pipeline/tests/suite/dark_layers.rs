@@ -121,7 +121,7 @@ fn a_layer_is_named_as_black_only_if_it_is_and_each_layer_with_light_is_not() {
                     assert!(!(has_light && is_named.is_some()), "{title}, {expression}, {max_depth}: {is_named:?}");
                     named += usize::from(is_named.is_some());
                     lit += usize::from(has_light);
-                    // What is black in such a small, well lit scene has a reason, but for chance of few samples and what stands in the way.
+                    // A layer that is black in such a small, well lit scene has a reason, unless light is blocked or samples are too few.
                     if !has_light && is_named.is_none() {
                         println!("{title}, {expression}, depth {max_depth}, frame {frame}: black by chance");
                     }

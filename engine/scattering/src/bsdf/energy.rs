@@ -24,7 +24,7 @@ const ROOM: f32 = 1e-6;
 impl MaterialParameters {
     /// The parameters with each channel limited to the light that the surface receives.
     ///
-    /// Which of `rd`, `td`, `rs` and `ts` share the light depends on the scattering model:
+    /// The scattering model decides which of `rd`, `td`, `rs` and `ts` share the light:
     /// - without an index of refraction, and on sheets with `ts`: all four add up to at most 1;
     /// - a coat with an index: `rs` is at most 1, and so is `rd + td`, which get what the coat leaves;
     /// - a solid dielectric: `rd + td + ts` is at most 1, which get what the interface does not reflect; `rs` does not count.

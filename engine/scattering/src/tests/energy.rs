@@ -108,7 +108,7 @@ fn a_material_within_its_limits_keeps_its_bits_and_one_beyond_keeps_the_ratio_of
     // A coat with an index leaves what it does not reflect: the parts below it need no room for it.
     let coated = MaterialParameters { rd: red * 0.3, rs: red * 0.3, ior: Some((1.5, 0.0)), ..p }.conserving();
     assert_eq!((coated.rd.x, coated.rs.x), (1.0, 1.0));
-    // Of a solid, `rs` does not count.
+    // `rs` of a solid does not count.
     let solid = MaterialParameters { ts: Rgb::splat(0.9), rs: Rgb::splat(0.9), sides: Sides::One, ..coated };
     let solid = MaterialParameters { rd: Rgb::splat(0.1), ..solid };
     assert_eq!(solid.conserving().ts, solid.ts);

@@ -87,7 +87,7 @@ enum Hidden {
     Apart,
 }
 
-/// What is known of the cameras, and what has been done.
+/// State of the search: the cameras' views, and the work done so far.
 struct Search<'a, 'b> {
     scope: &'b Scope<'a>,
     /// Directions of the photometric files.

@@ -20,7 +20,7 @@ pub struct JobJson {
     samples_most: u64,
     samples_per_second: f64,
     bad_samples: u64,
-    /// Of the frame measured last; `None` also where it met no light.
+    /// Relative error of the frame measured last; `None` also if it met no light.
     relative_error: Option<f64>,
     /// Blocks of that frame, and those in which no sample met light.
     blocks: Option<u32>,

@@ -20,7 +20,7 @@ pub(super) struct Color {
     pub raw: bool,
     /// Like `rgb`, but not clipped into Rec.709.
     wide: [f64; 3],
-    /// Where a color was given that had to be clipped.
+    /// Place of a color that had to be clipped.
     clipped_at: Option<Location>,
 }
 

@@ -17,7 +17,7 @@ pub(super) struct Token<'t> {
     pub quotes: Quotes,
 }
 
-/// How a field is quoted.
+/// Quotes of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quotes {
     /// Not at all: split by blanks.

@@ -53,7 +53,7 @@ impl Errors {
         (at, kind, name): (Position, Kind, &str),
         nearest: impl FnOnce() -> Vec<String>,
     ) -> Result<()> {
-        // Of a skipped include a scene may use any number of names: no search for each of them.
+        // A scene may use any number of names of a skipped include: none of them is searched for.
         let nearest = if self.lost_include { Vec::new() } else { nearest() };
         self.report(ImportError::new(at, Fault::Undefined { kind, name: name.to_owned(), nearest }))
     }

@@ -173,7 +173,7 @@ fn alpha_animation_and_orientation_are_named_where_they_matter() {
         assert!(said[0].contains("animation is not used"), "{said:?}");
         let said = remarks(&with(&gray, &[(b"eXIf", &exif::tests::tiff(true, 8, 65_535))]), role);
         assert!(said.len() == 1 && said[0].contains("orientation 8"), "{said:?}");
-        // What changes no value says nothing.
+        // Chunks that change no value have no warning.
         let harmless: &[Chunk<'_>] =
             &[(b"sBIT", &[5]), (b"pHYs", &[0, 0, 0, 1, 0, 0, 0, 2, 0]), (b"tEXt", b"a\0b"), (b"bKGD", &[0, 1])];
         assert!(remarks(&with(&gray, harmless), role).is_empty());

@@ -67,6 +67,7 @@ pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
     }
     let asked = Asked::open(&args.scene, args.settings, say)?.decided()?;
     asked.explain(say);
+    asked.warn_of_lost_light(say);
     let wish = Wish { painting, ..args.extras.wish(asked.rate(&asked.plan.frames))? };
     let scene = asked.parcel()?;
     let count = human::count(asked.plan.frames.len() as u64, "frame");

@@ -3,6 +3,7 @@
 use super::asked::{Asked, shown};
 use crate::output::{Say, human};
 use femc_emission::{IntensityDistribution, PhotometryError, PhotometryKind};
+use femc_pipeline::Method;
 use femc_scene::{Fault, Photometry, PhotometryType, bent_light, lamps_without_light};
 
 /// Lamps that are named one by one; `femc check` has all.
@@ -11,8 +12,16 @@ const NAMED: usize = 4;
 const MUCH: f64 = 0.1;
 
 impl Asked {
+    /// Warns of lamps whose light the job's method does not find.
+    pub fn warn_of_lost_light(&self, say: Say) {
+        self.warn_of_hidden_lamps(say);
+        if self.settings.method == Method::Fem {
+            self.warn_of_bent_light(say);
+        }
+    }
+
     /// Warns of lamps whose light no method finds.
-    pub fn warn_of_hidden_lamps(&self, say: Say) {
+    fn warn_of_hidden_lamps(&self, say: Say) {
         if say.quiet() {
             return;
         }

@@ -120,10 +120,7 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         }
     } else {
         asked.explain(say);
-        asked.warn_of_hidden_lamps(say);
-        if asked.settings.method == femc_pipeline::Method::Fem {
-            asked.warn_of_bent_light(say);
-        }
+        asked.warn_of_lost_light(say);
         let old = if args.fresh { Old::Discard } else { Old::Keep };
         let order = Order {
             asked: &asked,

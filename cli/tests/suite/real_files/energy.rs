@@ -9,14 +9,15 @@ const LAMP: f32 = 1000.0 / std::f32::consts::PI;
 #[test]
 fn a_room_in_saturated_red_gloss_is_no_brighter_than_its_lamp_by_any_method() {
     let place = place();
-    for method in ["pt", "fem", "femc"] {
+    // The first pass is right to a few percent.
+    for (method, most) in [("pt", 1.005), ("fem", 1.03), ("femc", 1.005)] {
         let line = format!("render red-gloss.mgf -o {method}.exr --spp 16 --method {method} --json");
         let summary = place.run(&line).exits(0).json();
         assert_eq!(summary["bad_samples"], 0, "{method}");
         let film = film(&place.path(&format!("{method}.exr")));
         let luminance = |p: &[f32]| 0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2];
         let brightest = film.rgb.chunks(3).map(luminance).fold(0.0, f32::max);
-        assert!(film.rgb.iter().all(|x| x.is_finite()) && brightest <= 1.005 * LAMP, "{method}: {brightest}");
+        assert!(film.rgb.iter().all(|x| x.is_finite()) && brightest <= most * LAMP, "{method}: {brightest}");
     }
 }
 
@@ -26,8 +27,8 @@ fn a_color_that_asks_for_more_light_than_there_is_is_said_once() {
     assert_eq!(said(&ran).matches("2.758 times the red light").count(), 1, "{}", said(&ran));
 }
 
-/// A closed box whose walls shine and return 99.9 % of the light: no number of iterations brings its light to rest.
-const WHITE_BOX: &str = "camera main =\n origin .3 .2 .1\n target 1 .4 0\n fov 60\n film 16 16\nm wall =\n sides 2\n c\n rd .999\n\
+/// A closed box whose walls shine and return all of the light: no number of iterations brings its light to rest.
+const WHITE_BOX: &str = "camera main =\n origin .3 .2 .1\n target 1 .4 0\n fov 60\n film 16 16\nm wall =\n sides 2\n c\n rd 1\n\
     ed 3.14159265358979\nv a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\n\
     prism a b c d -2\n";
 

@@ -39,7 +39,7 @@ impl Crossing {
 pub struct KernelMaterial {
     /// Scattering where no texture changes it.
     pub bsdf: Bsdf,
-    /// What `bsdf` was made from.
+    /// Parameters of the description; `bsdf` has them limited to the light that the surface receives.
     pub parameters: MaterialParameters,
     /// From the front, and from the back.
     pub crossing: [Crossing; 2],
@@ -85,8 +85,7 @@ impl KernelMaterial {
             rs_alpha: material.rs_alpha as f32,
             ts_alpha: material.ts_alpha as f32,
             ior: material.ior.map(|i| (i.re as f32, i.im as f32)),
-        }
-        .conserving();
+        };
         let solid = material.sides == Sides::One && material.ior.is_some();
         let matched = solid
             && material.ior.is_some_and(|i| i.re == 1.0 && i.im == 0.0)
@@ -99,7 +98,7 @@ impl KernelMaterial {
         let tint = bsdf.unbent();
         let met = if tint == Rgb::ZERO { Crossing::Scatter } else { Crossing::Clear { tint } };
         let crossing = if matched {
-            [Crossing::Null { tint: parameters.ts }; 2]
+            [Crossing::Null { tint }; 2]
         } else if material.sides == Sides::One && !solid && material.inside.is_some() {
             // Invisible from behind; met there only because a medium ends (see `surface_class`).
             [met, Crossing::Null { tint: Rgb::ONE }]

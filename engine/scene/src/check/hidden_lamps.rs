@@ -30,7 +30,7 @@ const LOST: f64 = 0.5;
 /// Surfaces are around a lamp up to this share of the scene's diagonal, and up to this distance, m.
 const AROUND: (f64, f64) = (0.02, 0.2);
 /// Ways that are looked along for all lamps together.
-const BUDGET: u64 = 500_000;
+const BUDGET: u64 = 4_000_000;
 
 /// End of the message of a camera that no light reaches: then no lamp is named as well.
 pub(super) const BLACK: &str = "its picture is black";

@@ -12,8 +12,8 @@ use std::f32::consts::PI;
 /// Points by axis at which a box is asked for its fog, where that is not the same everywhere.
 const GRID: u32 = 4;
 
-/// The boxes of fog with their light and coefficients.
-pub fn tree(scene: &Scene<'_>, arena: &Arena, lights: &Lights) -> FogTree {
+/// Boxes of fog with their light and coefficients; `None` if some light is not finite, or negative.
+pub fn tree(scene: &Scene<'_>, arena: &Arena, lights: &Lights) -> Option<FogTree> {
     let mut cells = Vec::new();
     let mut order = vec![arena.fog];
     let mut at = 0;
@@ -31,9 +31,7 @@ pub fn tree(scene: &Scene<'_>, arena: &Arena, lights: &Lights) -> FogTree {
         at += 1;
     }
     let root = &arena.elements[arena.fog as usize];
-    let tree = FogTree::new([root.center - root.half, root.center + root.half], &cells);
-    debug_assert!(tree.is_some(), "the solver's light and coefficients are finite and not negative");
-    tree.unwrap_or_default()
+    FogTree::new([root.center - root.half, root.center + root.half], &cells)
 }
 
 /// - `values`: a quarter of what comes from all around, at the nodes, lx.

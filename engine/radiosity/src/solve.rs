@@ -175,7 +175,10 @@ impl Underway {
                 ..self.report
             }
         };
-        let (field, direct) = field(scene, &self.arena, &self.lights);
+        let (field, direct, fog) = field(scene, &self.arena, &self.lights);
+        // `Solution::verify` refuses it.
+        let residual = if fog == FogLight::Sound { report.residual } else { f32::NAN };
+        let report = Report { residual, ..report };
         let field = Field { guides: Guides::new(guides, lobes, &field.cells, &field.leaves), ..field };
         Solution { field, direct, report }
     }
@@ -504,8 +507,17 @@ pub(crate) fn leaves(arena: &Arena) -> Vec<u32> {
     leaves
 }
 
-/// What is kept of a solution, and beside it what comes straight from light sources.
-fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> (Field, Vec<Leaf>) {
+/// Light of the fog of a solution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FogLight {
+    /// Finite and not negative, or there is no fog.
+    Sound,
+    /// Not finite, or negative: the field has no fog.
+    Broken,
+}
+
+/// Light that is kept of a solution; beside it the light that comes straight from light sources.
+fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> (Field, Vec<Leaf>, FogLight) {
     let mut field = Field { roots: vec![NONE; scene.surfaces.len()], ..Field::default() };
     let mut direct = Vec::new();
     for (surface, &root) in arena.roots.iter().enumerate() {
@@ -531,11 +543,15 @@ fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> (Field, Vec<Leaf>)
             at += 1;
         }
     }
+    let mut fog = FogLight::Sound;
     if arena.fog != NONE {
-        field.fog = crate::fog::tree(&scene, arena, lights);
+        match crate::fog::tree(&scene, arena, lights) {
+            Some(tree) => field.fog = tree,
+            None => fog = FogLight::Broken,
+        }
     }
     (field.surfaces, field.sides) = (scene.surfaces, scene.sides);
-    (field, direct)
+    (field, direct, fog)
 }
 
 fn leaf(element: &Element, index: u32, lights: &Lights, from: usize) -> Leaf {

@@ -22,6 +22,19 @@ fn no_bytes_make_a_decoder_panic_or_fill_the_memory() {
     }
 }
 
+/// Seeds that made a decoder panic once.
+const FOUND: [(&str, u64); 1] = [("elements", 222_945)];
+
+#[test]
+fn what_fuzzing_has_found_stays_found() {
+    for target in targets() {
+        let mut tally = Tally::default();
+        let seeds = FOUND.iter().filter(|(name, _)| *name == target.name);
+        seeds.for_each(|&(_, seed)| execute(&target, seed, &mut tally));
+        assert!(tally.panics.is_empty(), "{:#?}", tally.panics);
+    }
+}
+
 #[test]
 fn each_message_of_a_call_has_its_decoder() {
     let set = prost_types::FileDescriptorSet::decode(femc_proto::testing::DESCRIPTORS).expect("a descriptor set");

@@ -86,6 +86,15 @@ impl Lights {
         self.places[light as usize].1
     }
 
+    /// Luminous flux of a light with its texture at most, lm: a texture's values may be above 1.
+    pub fn power_at_most(&self, textures: &[Texture], light: u32) -> f32 {
+        let texture = match self.entries[light as usize].texture {
+            NONE => 1.0,
+            texture => textures[texture as usize].brightest().max(1.0),
+        };
+        texture * self.power(light)
+    }
+
     /// Whether rays may meet a light: it is no point.
     pub(crate) fn may_be_met(&self, light: u32) -> bool {
         !matches!(self.lights[light as usize], Light::PhotometricPoint(_))

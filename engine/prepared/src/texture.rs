@@ -10,6 +10,7 @@ pub struct Texture {
     width: u32,
     height: u32,
     pixels: Arc<Vec<Rgb>>,
+    brightest: f32,
 }
 
 impl Texture {
@@ -17,10 +18,16 @@ impl Texture {
     pub fn new(image: &femc_scene::Image) -> Self {
         let expected = image.width as usize * image.height as usize;
         if expected == 0 || image.pixels.len() != expected {
-            return Self { width: 1, height: 1, pixels: Arc::new(vec![Rgb::ONE]) };
+            return Self { width: 1, height: 1, pixels: Arc::new(vec![Rgb::ONE]), brightest: 1.0 };
         }
-        let pixels = image.pixels.iter().map(|&p| Rgb::from_array(p)).collect();
-        Self { width: image.width, height: image.height, pixels: Arc::new(pixels) }
+        let pixels: Vec<Rgb> = image.pixels.iter().map(|&p| Rgb::from_array(p)).collect();
+        let brightest = pixels.iter().map(|pixel| pixel.max_element()).fold(0.0, f32::max);
+        Self { width: image.width, height: image.height, pixels: Arc::new(pixels), brightest }
+    }
+
+    /// Greatest value of a channel.
+    pub fn brightest(&self) -> f32 {
+        self.brightest
     }
 
     fn texel(&self, x: i64, y: i64) -> Rgb {

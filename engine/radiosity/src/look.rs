@@ -32,6 +32,8 @@ pub struct Summary {
     pub area: f64,
     /// Luminous flux of all light sources, lm.
     pub emitted: f64,
+    /// Luminous flux of all light sources, with their textures at most, lm.
+    pub emitted_at_most: f64,
     /// What these surfaces receive, each time that light arrives, lm.
     pub received: f64,
     /// What they keep of that, lm.
@@ -127,9 +129,13 @@ impl<'a> Look<'a> {
 
     /// The light of all leaves together.
     pub fn summary(&self) -> Summary {
-        let (lights, field) = (&self.prepared.lights, &self.solution.field);
-        let emitted = (0..lights.len() as u32).fold(0.0, |sum, light| sum + f64::from(lights.power(light)));
-        let mut summary = Summary { emitted, ..Summary::default() };
+        let Prepared { lights, textures, .. } = self.prepared;
+        let field = &self.solution.field;
+        let all =
+            |power: &dyn Fn(u32) -> f32| (0..lights.len() as u32).fold(0.0, |sum, light| sum + f64::from(power(light)));
+        let emitted = all(&|light| lights.power(light));
+        let emitted_at_most = all(&|light| lights.power_at_most(textures, light));
+        let mut summary = Summary { emitted, emitted_at_most, ..Summary::default() };
         let (mut leaves, mut counts) = (Vec::new(), Vec::new());
         for (index, surface) in field.surfaces.iter().enumerate() {
             let parts = field.leaves_of(index as u32);

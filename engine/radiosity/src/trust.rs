@@ -9,10 +9,10 @@ use femc_prepared::Prepared;
 
 /// Flux that surfaces may keep over the flux that is sent. Links are approximate: sound solutions of closed rooms, in fog and for
 /// guides above all, keep up to a tenth more than is sent (docs/first-pass.md).
-pub const MOST_KEPT: f64 = 1.25;
+const MOST_KEPT: f64 = 1.25;
 /// Light that further iterations may bring, as a share of all light. Where surfaces take hardly any light, iterations end with
 /// some of it still on its way.
-pub const MOST_LEFT: f32 = 0.05;
+const MOST_LEFT: f32 = 0.05;
 
 /// Reason why a solution cannot be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -38,22 +38,25 @@ impl Solution {
     /// - `prepared`: the frame that was solved.
     /// - errors: [`Untrusted`]; a picture of the solution would be wrong.
     pub fn verify(&self, prepared: &Prepared) -> Result<(), Untrusted> {
-        verdict(&self.report, &Look::new(prepared, self).summary())
+        self.report.verify(&Look::new(prepared, self).summary())
     }
 }
 
-fn verdict(report: &Report, light: &Summary) -> Result<(), Untrusted> {
-    let Report { iterations, residual, bounded, .. } = *report;
-    // Light that grew, was bounded, and goes on changing has no state to come to rest in.
-    let most = if bounded { RESIDUAL } else { MOST_LEFT };
-    if !residual.is_finite() || residual > most {
-        return Err(Untrusted::Restless { iterations, residual });
+impl Report {
+    /// Checks the solution with its light, see [`Solution::verify`].
+    pub fn verify(&self, light: &Summary) -> Result<(), Untrusted> {
+        let Self { iterations, residual, bounded, .. } = *self;
+        // Light that grew, was bounded, and goes on changing has no state to come to rest in.
+        let most = if bounded { RESIDUAL } else { MOST_LEFT };
+        if !residual.is_finite() || residual > most {
+            return Err(Untrusted::Restless { iterations, residual });
+        }
+        let Summary { absorbed, emitted_at_most: emitted, .. } = *light;
+        if absorbed > MOST_KEPT * emitted || !absorbed.is_finite() {
+            return Err(Untrusted::Gains { ratio: absorbed / emitted });
+        }
+        Ok(())
     }
-    let ratio = light.absorbed / light.emitted;
-    if light.absorbed > MOST_KEPT * light.emitted || !light.absorbed.is_finite() {
-        return Err(Untrusted::Gains { ratio });
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -62,7 +65,7 @@ mod tests {
 
     fn of(residual: f32, emitted: f64, absorbed: f64) -> Result<(), Untrusted> {
         let report = Report { residual, iterations: 7, ..Report::default() };
-        verdict(&report, &Summary { emitted, absorbed, ..Summary::default() })
+        report.verify(&Summary { emitted, emitted_at_most: emitted, absorbed, ..Summary::default() })
     }
 
     #[test]
@@ -79,6 +82,6 @@ mod tests {
         assert_eq!(of(0.5, 100.0, 50.0), Err(Untrusted::Restless { iterations: 7, residual: 0.5 }));
         assert!(matches!(of(f32::NAN, 100.0, 50.0), Err(Untrusted::Restless { .. })));
         let (bounded, light) = (Report { residual: 0.01, bounded: true, ..Report::default() }, Summary::default());
-        assert!(matches!(verdict(&bounded, &light), Err(Untrusted::Restless { .. })));
+        assert!(matches!(bounded.verify(&light), Err(Untrusted::Restless { .. })));
     }
 }

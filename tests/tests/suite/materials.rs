@@ -178,3 +178,24 @@ fn scenes_of_the_1990s_have_no_bad_sample() {
         assert_eq!(film.bad().total(), 0, "{name}");
     }
 }
+
+#[test]
+fn a_lamp_whose_texture_is_above_1_sends_more_than_its_emittance_and_its_solution_is_trusted() {
+    let text = "m wall =\n sides 2\n c\n rd .5\nm lamp =\n sides 1\n c\n ed 1000\nv a =\n p -2 -2 0\nv b =\n p 2 -2 0\nv c =\n p 2 2 0\n\
+        v d =\n p -2 2 0\nm wall\nprism d c b a 3\nv e =\n p -.5 -.5 2.9\n uv 0 0\nv f =\n p -.5 .5 2.9\n uv 0 1\nv g =\n p .5 .5 2.9\n\
+        uv 1 1\nv h =\n p .5 -.5 2.9\n uv 1 0\nm lamp\nf e f g h\n\
+        camera main =\n origin 1.5 -1.5 1\n target 0 0 1\n fov 60\n film 8 8\n";
+    for (value, kept) in [(1.0, 1.0), (4.0, 4.0)] {
+        let mut textured = femc_scene::Scene::clone(&scene(text));
+        textured.images.push(femc_scene::Image { path: String::new(), width: 1, height: 1, pixels: vec![[value; 3]] });
+        let lamp = textured.materials.iter_mut().find(|material| material.name == "lamp").expect("the lamp");
+        lamp.map_ed = Some(femc_scene::ImageId(0));
+        let prepared = prepare(&Source::new(Arc::new(textured)), &Settings::default(), 1, None);
+        let prepared = prepared.unwrap_or_else(|error| panic!("{error}"));
+        let solved = solve(&prepared, &Options::default(), &AtomicBool::new(false)).expect("nobody cancels");
+        let light = femc_pipeline::radiosity::Look::new(&prepared, &solved).summary();
+        let ratio = light.absorbed / light.emitted;
+        assert!((ratio / kept - 1.0).abs() < 0.1, "texture {value}: {ratio} times the emittance is kept");
+        assert_eq!(solved.verify(&prepared), Ok(()));
+    }
+}

@@ -130,7 +130,7 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
         residual: found.residual,
         row_sum: found.row_sum,
         bounded: found.bounded,
-        untrusted: solution.verify(&prepared).err().map(|reason| reason.to_string()),
+        untrusted: found.verify(&light).err().map(|reason| reason.to_string()),
         checked: found.checked,
         corrected: found.corrected,
         bytes: found.bytes,

@@ -45,7 +45,10 @@ impl MaterialParameters {
             Model::Sheet { fresnel } | Model::Opaque { fresnel } => {
                 limit([&mut rs]);
                 limit([&mut rd, &mut td]);
-                leave(|| room_under_coat(fresnel, self.rs_alpha, rs), self.rs_alpha, [&mut rd, &mut td]);
+                // A coat reflects at most `rs`: parts that add up to 1 cannot gain.
+                if (rd + td + rs).max_element() > 1.0 {
+                    leave(|| room_under_coat(fresnel, self.rs_alpha, rs), self.rs_alpha, [&mut rd, &mut td]);
+                }
             }
         }
         Self { rd, td, rs, ts, ..*self }

@@ -21,7 +21,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         group.luminaires.iter().for_each(|luminaire| check_luminaire(scope, luminaire, faults));
     }
     covered_lamps(scope, faults);
-    if !anything_shines(scope) {
+    if scope.scene.is_dark() {
         let message = "nothing in the scene emits light: every picture of it is black";
         faults.add(Warning, LightsNothing, WHOLE, message, "add a surface with `ed`, an `ies` luminaire or a `glow`");
     }
@@ -73,16 +73,6 @@ fn check_luminaire(scope: &Scope<'_>, luminaire: &Luminaire, faults: &mut Faults
     }
 }
 
-fn anything_shines(scope: &Scope<'_>) -> bool {
-    let scene = scope.scene;
-    let surfaces = scene.materials.iter().zip(&scope.visible).filter(|(_, visible)| **visible);
-    let placed = scene.groups.iter().zip(&scope.placed).filter(|(_, placed)| **placed);
-    let mut luminaires = placed.flat_map(|(group, _)| &group.luminaires);
-    surfaces.into_iter().any(|(material, _)| emittance(scope, material) > 0.0 && !is_black(material))
-        || luminaires.any(|l| scope.is_shown(l.object) && (power(scope, l) > 0.0 || multipliers_vary(scope)))
-        || scene.media.iter().any(|m| scene.largest(&format!("medium.{}", m.name), "glow", m.glow) > 0.0)
-}
-
 /// One-sided lamps whose front another surface covers.
 pub(super) fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
     let materials = &scope.scene.materials;
@@ -122,9 +112,7 @@ fn covered_area(scope: &Scope<'_>, lamp: &PlacedTriangle, plane: &Plane) -> f64 
 
 fn stops_light(scope: &Scope<'_>, other: &PlacedTriangle, lamp: &Plane, cover: &Plane) -> bool {
     scope.scene.materials.get(other.material.index()).is_some_and(|material| {
-        let entity = format!("material.{}", material.name);
-        let lets_through = scope.scene.largest(&entity, "td", material.td.amount) > 0.0
-            || scope.scene.largest(&entity, "ts", material.ts.amount) > 0.0;
+        let lets_through = scope.lets_through[other.material.index()];
         !lets_through && (material.sides == Sides::Two || lamp.normal.dot(cover.normal) < 0.0)
     })
 }

@@ -42,12 +42,7 @@ impl Hit {
 
     /// Whether some light goes through the surface.
     pub fn lets_through(&self, scope: &Scope<'_>) -> bool {
-        let transmits = |material: &Material| {
-            let entity = format!("material.{}", material.name);
-            let largest = |field, amount| scope.scene.largest(&entity, field, amount) > 0.0;
-            largest("td", material.td.amount) || largest("ts", material.ts.amount)
-        };
-        self.material(scope).is_some_and(transmits)
+        scope.lets_through.get(self.material.index()) == Some(&true)
     }
 }
 

@@ -1,8 +1,9 @@
 //! What the checks share: which surfaces are placed and shown, and where the placed triangles are in the world.
 
+use super::shine::Effect;
 use super::tree::{Bounds, BoxTree};
 use crate::{
-    description::{Facing, Location, Luminaire, MaterialId, ObjectId, Scene, Shape},
+    description::{Facing, Location, Luminaire, Material, MaterialId, ObjectId, Scene, Shape},
     objects::hidden_objects,
 };
 use femc_math::{Transform, glam::DVec3};
@@ -66,6 +67,13 @@ pub(crate) struct PlacedLuminaire<'a> {
     pub luminaire: &'a Luminaire,
 }
 
+/// Whether some light goes through a material, at some time.
+fn lets_through(scene: &Scene, material: &Material) -> bool {
+    let entity = format!("material.{}", material.name);
+    let largest = |field, amount| scene.largest(&entity, field, amount) > 0.0;
+    largest("td", material.td.amount) || largest("ts", material.ts.amount)
+}
+
 /// The scene as the checks see it.
 pub(crate) struct Scope<'a> {
     pub scene: &'a Scene,
@@ -79,6 +87,10 @@ pub(crate) struct Scope<'a> {
     pub used: Vec<bool>,
     /// Which materials are on a placed surface that is shown at some time.
     pub visible: Vec<bool>,
+    /// Whether some light goes through a material, at some time.
+    pub lets_through: Vec<bool>,
+    /// Effects of each material on light that comes to its front and to its back.
+    pub effects: Vec<[Effect; 2]>,
     /// World bounds of surfaces and luminaires.
     pub bounds: Bounds,
     /// Shown triangles.
@@ -108,6 +120,8 @@ impl<'a> Scope<'a> {
             shown: hidden.iter().zip(blinking).map(|(hidden, blinks)| !hidden || blinks).collect(),
             used: vec![false; scene.materials.len()],
             visible: vec![false; scene.materials.len()],
+            lets_through: scene.materials.iter().map(|material| lets_through(scene, material)).collect(),
+            effects: scene.materials.iter().map(|material| Effect::both(scene, material)).collect(),
             bounds: Bounds::EMPTY,
             triangles: Vec::new(),
             tree: BoxTree::default(),

@@ -4,7 +4,7 @@
 //! other side looks at its front, and lets light through that comes to its front, as a viewer behind looks through it.
 
 use super::{Dice, Hit, Ray, Scope};
-use crate::description::{Material, MaterialId, RegionBounds, Sides};
+use crate::description::{Material, MaterialId, RegionBounds, Scene, Sides};
 use femc_math::glam::DVec3;
 
 /// Surfaces that are passed or reflect on one way.
@@ -42,7 +42,7 @@ pub(crate) enum Shone {
 
 /// Effect of a surface on light that comes to one of its sides.
 #[derive(Clone, Copy, Debug, Default)]
-struct Effect {
+pub(crate) struct Effect {
     /// It scatters in more than single directions.
     scatters: bool,
     /// It scatters to its other side, too.
@@ -55,12 +55,19 @@ struct Effect {
     mirrors: bool,
 }
 
-fn effect(scope: &Scope<'_>, material: &Material, is_front: bool) -> Effect {
+impl Effect {
+    /// Effects on light that comes to the front and to the back of a material.
+    pub fn both(scene: &Scene, material: &Material) -> [Self; 2] {
+        [true, false].map(|is_front| effect(scene, material, is_front))
+    }
+}
+
+fn effect(scene: &Scene, material: &Material, is_front: bool) -> Effect {
     let entity = format!("material.{}", material.name);
-    let some = |field: &str, amount: f64| scope.scene.largest(&entity, field, amount) > 0.0;
+    let some = |field: &str, amount: f64| scene.largest(&entity, field, amount) > 0.0;
     let (rd, td) = (some("rd", material.rd.amount), some("td", material.td.amount));
     let (rs, ts) = (some("rs", material.rs.amount), some("ts", material.ts.amount));
-    let rough = |field: &str, alpha: f64| scope.scene.largest(&entity, field, alpha) > SMOOTH;
+    let rough = |field: &str, alpha: f64| scene.largest(&entity, field, alpha) > SMOOTH;
     let (rough_rs, rough_ts) = (rough("rs_alpha", material.rs_alpha), rough("ts_alpha", material.ts_alpha));
     let index = material.ior.filter(|ior| ior.im == 0.0).map(|ior| (ior.re - 1.0).abs());
     let is_one_sided = material.sides == Sides::One;
@@ -93,11 +100,11 @@ pub(crate) fn shine(scope: &Scope<'_>, mut ray: Ray, is_point: bool, dice: &mut 
     for _ in 0..PASSED {
         let Some(hit) = scope.first_hit(&ray) else { return Shone::Escaped };
         mirror = None;
-        let Some(material) = hit.material(scope) else { return Shone::Stopped(hit.material) };
+        let Some(effects) = scope.effects.get(hit.material.index()) else { return Shone::Stopped(hit.material) };
         let is_front = hit.is_front(&ray);
         let normal = if is_front { hit.normal } else { -hit.normal };
         let place = ray.origin + hit.distance * ray.dir;
-        let effect = effect(scope, material, is_front);
+        let effect = effects[usize::from(!is_front)];
         if effect.scatters && !(effect.passes && dice.roll() < 0.5) {
             let normal_of_side = (!effect.transmits).then_some(normal);
             return Shone::Lit(LitPlace { place: place + 2.0 * scope.offset() * normal, normal: normal_of_side });

@@ -115,8 +115,7 @@ fn with_negative_values(command: &Command, args: Vec<OsString>) -> Vec<OsString>
     all
 }
 
-/// Says of a value that is no number what a number is, where only the standard library's parser has spoken ("invalid digit found in
-/// string").
+/// Replaces the messages of the standard library's number parsers ("invalid digit found in string") by ones that say what to write.
 fn in_own_words(error: clap::Error) -> clap::Error {
     let text = |kind| match error.get(kind) {
         Some(ContextValue::String(text)) => text.clone(),
@@ -126,10 +125,10 @@ fn in_own_words(error: clap::Error) -> clap::Error {
     let advice = if let Some(cause) = cause.and_then(|cause| cause.downcast_ref::<ParseIntError>()) {
         match cause.kind() {
             IntErrorKind::PosOverflow | IntErrorKind::NegOverflow => "it is too large; give a smaller number",
-            _ => "it is no whole number from 0 on; write one, like 7",
+            _ => "it must be a whole number that is not negative, like 7",
         }
     } else if cause.is_some_and(|cause| cause.is::<ParseFloatError>()) {
-        "it is no number; write one, like 0.5"
+        "it must be a number, like 0.5"
     } else {
         return error;
     };

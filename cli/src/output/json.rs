@@ -10,7 +10,7 @@ pub fn print<T: Serialize>(say: Say, document: &T) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Print a document as one line, of which there may be more.
+/// Prints a document on one line: commands that print a stream of documents use a line for each.
 pub fn line<T: Serialize>(say: Say, document: &T) -> Result<(), Failure> {
     say.document(&terminal::json(&serde_json::to_string(document).map_err(failed)?));
     Ok(())

@@ -12,7 +12,7 @@ pub enum Style {
     Bold,
 }
 
-/// Begins a change of style within a text, followed by a letter. Nobody else can write it: it differs from process to process.
+/// Mark in a text that starts a style; the letter behind it names the style. It is random, so that no text of a scene can contain it.
 static MARK: LazyLock<String> = LazyLock::new(|| format!("\u{1b}<{:016x}>", RandomState::new().hash_one("style")));
 
 /// The end of a style.

@@ -200,8 +200,8 @@ impl Asked {
         Ok(self)
     }
 
-    /// Warns of what the frames of this request will lack: light, and layers that nothing in the scene can make.
-    /// Layers that come in sets (`guides`, `lamps`) may be black without a word: whoever asks for the set reads all of it.
+    /// Warns if nothing in the scene emits light, and of layers that nothing in the scene can make.
+    /// Layers that belong to a set (`guides`, `lamps`) have no warning: a set has all of its layers in every scene.
     pub fn warn(&self, say: Say) {
         let scene = self.scene();
         if scene.is_dark() {

@@ -13,7 +13,7 @@ const MAGIC: &[u8; 8] = b"femcbndl";
 const VERSION: u32 = 1;
 const LEVEL: i32 = 3;
 
-/// Files by their normalised path.
+/// Files by their normalized path.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Bundle(pub BTreeMap<String, Vec<u8>>);
 
@@ -40,7 +40,7 @@ pub enum BundleError {
     /// Cut short, or with rubbish in it.
     #[error("bundle is damaged")]
     Damaged,
-    /// A file name that is not normalised.
+    /// A file name that is not normalized.
     #[error("bundle holds the bad file name {name:?}")]
     Name {
         /// The name.
@@ -58,10 +58,11 @@ impl Files for Bundle {
     }
 
     fn names(&self, folder: &str) -> Vec<String> {
-        let of =
-            |path: &String| path.rsplit_once('/').map_or(("", &**path), |(folder, name)| (folder, name)).0 == folder;
-        let name = |path: &String| path.rsplit('/').next().unwrap_or_default().to_owned();
-        self.0.keys().filter(|path| of(path)).map(name).collect()
+        let name_in_folder = |path: &String| {
+            let (parent, name) = path.rsplit_once('/').unwrap_or(("", path));
+            (parent == folder).then(|| name.to_owned())
+        };
+        self.0.keys().filter_map(name_in_folder).collect()
     }
 }
 

@@ -1,5 +1,8 @@
 //! What can be wrong with a scene file, each with what to do about it.
 
+mod advice;
+
+use advice::{blank_name, left_over, path_advice, undefined_advice};
 use std::fmt;
 
 /// A place in a source file. Line and column (in bytes) count from 1; 0 where there is none.
@@ -57,7 +60,7 @@ pub struct ImportErrors {
 pub enum Kind {
     /// A vertex, `v`.
     Vertex,
-    /// A colour, `c`.
+    /// A color, `c`.
     Color,
     /// A material, `m`.
     Material,
@@ -67,20 +70,6 @@ pub enum Kind {
     Medium,
     /// A motion path.
     Path,
-}
-
-impl Kind {
-    /// The lines that define a name.
-    fn definition(self, name: &str) -> String {
-        match self {
-            Self::Vertex => format!("`v {name} =` and `p x y z`"),
-            Self::Color => format!("`c {name} =` and `crgb r g b`"),
-            Self::Material => format!("`m {name} =` and `rd r`"),
-            Self::Camera => format!("`camera {name} =`, `origin x y z` and `target x y z`"),
-            Self::Medium => format!("`medium {name} =` and `sigma_s s`"),
-            Self::Path => format!("`path {name} = linear` and `key t`"),
-        }
-    }
 }
 
 impl fmt::Display for Kind {
@@ -229,7 +218,7 @@ pub enum Fault {
         allowed: &'static str,
     },
     /// A name that stands for nothing.
-    #[error("undefined {kind} `{name}`; {}", advice(*kind, name, nearest))]
+    #[error("undefined {kind} `{name}`; {}", undefined_advice(*kind, name, nearest))]
     Undefined {
         /// Of what kind.
         kind: Kind,
@@ -350,14 +339,6 @@ pub enum Fault {
     },
 }
 
-fn left_over(found: &str, numbers: u64) -> String {
-    match numbers {
-        0 => format!("`{found}` follows"),
-        1 => "1 number follows".to_owned(),
-        n => format!("{n} numbers follow"),
-    }
-}
-
 impl Fault {
     /// The file that cannot be used, relative to the root, where the fault is a file's and not its mention's.
     pub fn file(&self) -> Option<&str> {
@@ -366,35 +347,4 @@ impl Fault {
             _ => None,
         }
     }
-}
-
-fn advice(kind: Kind, name: &str, nearest: &[String]) -> String {
-    let definition = kind.definition(name);
-    match nearest {
-        [] => format!("define it before this line: {definition}"),
-        names => {
-            let quoted: Vec<_> = names.iter().map(|name| format!("`{name}`")).collect();
-            format!("define it before this line ({definition}), or use a near name: {}", quoted.join(", "))
-        }
-    }
-}
-
-fn path_advice(near: Option<&str>) -> String {
-    match near {
-        Some(name) if name.contains(char::is_whitespace) => format!("did you mean `\"{name}\"`?"),
-        Some(name) => format!("did you mean `{name}`?"),
-        None => "check the path, it is relative to the file that names it".to_owned(),
-    }
-}
-
-fn blank_name(entity: &str, name: &str, exists: bool) -> String {
-    if exists {
-        return format!("the file name `{name}` has blanks; put it in double quotes: `{entity} \"{name}\"`");
-    }
-    let (first, rest) = name.split_once(char::is_whitespace).unwrap_or((name, ""));
-    let rest = rest.trim_start();
-    format!(
-        "found `{rest}` after the file name `{first}`; if it is part of the name, put the name in double quotes: \
-         `{entity} \"{name}\"`"
-    )
 }

@@ -1,6 +1,6 @@
 //! Where a scene's files come from: a folder, or a bundle in memory.
 
-use crate::error::Fault;
+use crate::{error::Fault, text::excerpt};
 use std::{
     fs::File,
     io::{self, Read},
@@ -9,10 +9,13 @@ use std::{
 
 /// Longest path inside a scene, bytes.
 pub(crate) const MAX_PATH: usize = 1024;
+/// Longest path as a file names it, bytes: it may have parts that normalization removes.
+const MAX_NAMED: usize = 4096;
+const TOO_LONG: &str = "it is longer than 1024 bytes";
 /// Most names of a folder that are compared with one that is not there.
 const MAX_NAMES: usize = 10_000;
 
-/// The files of a scene. Paths are relative to the scene's root, `/`-separated and normalised: no `.`, no `..`, no empty part.
+/// The files of a scene. Paths are relative to the scene's root, `/`-separated and normalized: no `.`, no `..`, no empty part.
 pub trait Files {
     /// Size in bytes, without reading the file.
     fn size(&self, path: &str) -> io::Result<u64>;
@@ -76,21 +79,21 @@ impl Files for Disk {
     }
 }
 
-/// A file in the folder of `path` that may be meant: its name differs in upper and lower case, in blanks at the ends, or in
-/// blanks that are written as `%20`, `_` or `+`.
+/// Name of a file in the folder of `path` that may be meant: it differs in upper and lower case, in blanks at the ends, or
+/// in blanks that are written as `%20`, `_` or `+`.
 pub(crate) fn near(files: &dyn Files, path: &str) -> Option<String> {
     let plain = |name: &str| name.replace("%20", " ").replace(['_', '+'], " ").trim().to_lowercase();
     let (folder, name) = path.rsplit_once('/').unwrap_or(("", path));
-    let mut near: Vec<String> = files.names(folder).into_iter().filter(|other| plain(other) == plain(name)).collect();
-    near.retain(|other| other != name);
-    near.sort();
-    let near = near.into_iter().next()?;
-    Some(if folder.is_empty() { near } else { format!("{folder}/{near}") })
+    let wanted = plain(name);
+    files.names(folder).into_iter().filter(|other| other != name && plain(other) == wanted).min()
 }
 
-/// The path `named` inside the file `by`, relative to the root and normalised.
+/// The path `named` inside the file `by`, relative to the root and normalized.
 pub(crate) fn resolve(by: &str, named: &str) -> Result<String, Fault> {
     let unportable = |reason| Fault::UnportablePath { path: named.to_owned(), reason };
+    if named.len() > MAX_NAMED {
+        return Err(Fault::UnportablePath { path: excerpt(named.as_bytes()), reason: TOO_LONG });
+    }
     let drive = named.as_bytes().get(1) == Some(&b':');
     if named.starts_with('/') || drive || Path::new(named).is_absolute() {
         return Err(Fault::AbsolutePath { path: named.to_owned() });
@@ -119,7 +122,7 @@ pub(crate) fn resolve(by: &str, named: &str) -> Result<String, Fault> {
     }
     let path = parts.join("/");
     if path.len() > MAX_PATH {
-        return Err(unportable("it is longer than 1024 bytes"));
+        return Err(unportable(TOO_LONG));
     }
     Ok(path)
 }

@@ -10,6 +10,8 @@ use crate::Fault;
 
 /// ^Z, the end of a text file in CP/M and DOS.
 const END_OF_FILE: u8 = 0x1a;
+/// Most characters of a file's text in a message.
+const MAX_EXCERPT: usize = 64;
 
 /// Text of a file as bytes whose lines end with LF, without a byte order mark.
 /// - `path`: name of the file for the fault.
@@ -34,6 +36,20 @@ pub(crate) fn decode(path: &str, bytes: Vec<u8>) -> Result<Vec<u8>, Fault> {
         }
         None => Ok(text),
     }
+}
+
+/// Start of a file's text for a message: without control characters, and `...` after the first 64 characters.
+pub(crate) fn excerpt(text: &[u8]) -> String {
+    let characters = text.utf8_chunks().flat_map(|chunk| {
+        let broken = (!chunk.invalid().is_empty()).then_some('\u{fffd}');
+        chunk.valid().chars().chain(broken)
+    });
+    let mut characters = characters.filter(|character| !character.is_control());
+    let mut start: String = characters.by_ref().take(MAX_EXCERPT).collect();
+    if characters.next().is_some() {
+        start.push_str("...");
+    }
+    start
 }
 
 /// UTF-8 of UTF-16; the error is a reason.
@@ -130,6 +146,13 @@ mod tests {
         assert_eq!(read(b"a\nb\r\nc\rd\r\re\r\r\nf\n\rg\r").unwrap(), "a\nb\nc\nd\n\ne\nf\n\ng\n");
         assert_eq!(read(b"").unwrap(), "");
         assert_eq!(read(b"\r").unwrap(), "\n");
+    }
+
+    #[test]
+    fn a_message_has_the_start_of_a_long_text_and_no_control_characters() {
+        assert_eq!(excerpt(b"caf\xe9 \xc3\xa9 \x1b[1m\tend"), "caf\u{fffd} \u{e9} [1mend");
+        assert_eq!(excerpt("\u{4e00}".repeat(64).as_bytes()), "\u{4e00}".repeat(64));
+        assert_eq!(excerpt("\u{4e00}".repeat(65).as_bytes()), "\u{4e00}".repeat(64) + "...");
     }
 
     #[test]

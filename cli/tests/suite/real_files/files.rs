@@ -21,7 +21,7 @@ fn means(place: &Place, scene: &str) -> [f64; 3] {
     [0, 1, 2].map(|k| sum(k) / (values.len() / 3) as f64)
 }
 
-/// Whether means are those of the image, up to the noise of the samples' places.
+/// Whether the means of a picture are the wanted ones, up to the noise of sampling.
 fn are_near(means: [f64; 3], wanted: [f64; 3], tolerance: f64) -> bool {
     means.iter().zip(wanted).all(|(mean, wanted)| (mean - wanted).abs() < tolerance)
 }

@@ -83,7 +83,7 @@ fn a_point_in_solid_glass_is_named_and_a_bulb_is_found() {
         assert!(said.contains("no sample met light in any of the 4 blocks") && !said.contains("0.00 %"), "{said}");
         assert!(said.contains("no sample of frame 1 met light"), "{said}");
     }
-    // Nobody answers there: the warning comes before.
+    // No server listens on that port. The warning is printed before the connection fails.
     let ran = place.run("submit glass-globe.mgf --spp 16 --method pt --server http://127.0.0.1:9").exits(4);
     assert!(said(&ran).contains("the light of this lamp cannot get through"), "{}", said(&ran));
     let ran = place.run("render glass-globe-bulb.mgf -o bulb.exr --spp 128 --method femc").exits(0);

@@ -244,7 +244,7 @@ fn what_submit_refuses_or_warns_about_is_in_the_list_of_check() {
         let of = |severity: &str| faults.iter().filter(|it| it["severity"] == severity).count();
         let render = place.run("render s.mgf -o s.exr --frames 1 --spp 1 --threads 1 --fresh");
         let plan = place.run("plan s.mgf --no-trial");
-        // Submitted to nobody: it is refused for the scene, or for want of a farm.
+        // No server listens on that port: exit code 4 means that the scene itself was accepted.
         let submit = place.run("submit s.mgf --server http://127.0.0.1:9 --method pt");
         let refused = [&render, &plan, &submit].into_iter().any(|ran| !matches!(ran.code(), Some(0 | 4)));
         if refused {

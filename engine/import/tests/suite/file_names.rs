@@ -1,7 +1,8 @@
 //! Names of files: quotes, blanks, and names that are nearly those of files.
 
-use crate::common::try_files;
-use femc_import::{Fault, Loaded};
+use crate::common::{bundle, try_files};
+use femc_import::{Bundle, Fault, Files, Loaded, load_or_list};
+use std::{cell::Cell, io};
 
 const LAMP: &str = "TILT=NONE\n1 1 1 3 1 1 2 0 0 0 1 1 1 0 45 90 0 5 5 5\n";
 const FLOOR: &str = "v f =\nsph f 1\n";
@@ -53,6 +54,7 @@ fn a_fault_of_quotes_is_named_at_its_place() {
         ("ies \"my lamp.ies -t 0 0 1", "t.mgf:1:5: the file name has no closing double quote"),
         ("map_rd \"", "t.mgf:1:8: the file name has no closing double quote"),
         ("i \"my \\\nfloor.mgf\"", "t.mgf:1:3: the file name has no closing double quote"),
+        ("i \"\\\nparts/old.mgf", "t.mgf:1:3: the file name has no closing double quote"),
         ("ies \"my lamp\".ies", "t.mgf:1:14: found `.ies` directly after the closing double quote"),
         ("i \"\"", "t.mgf:1:3: `` is not a portable path: it names a folder"),
         ("ies \"lost lamp.ies\"", "t.mgf:1:5: cannot read `lost lamp.ies`"),
@@ -91,13 +93,64 @@ fn a_name_that_is_nearly_that_of_a_file_names_the_file() {
         ("ies my%20lamp.ies", "`\"my lamp.ies\"`"),
         ("ies my_lamp.ies", "`\"my lamp.ies\"`"),
         ("ies \"my lamp.ies \"", "`\"my lamp.ies\"`"),
-        ("i parts/Old_Floor.mgf", "`\"parts/old floor.mgf\"`"),
+        ("i parts/Old_Floor.mgf", "`\"old floor.mgf\"`"),
     ] {
         let error = with(line).unwrap_err();
-        assert!(error.contains("cannot read ") && error.ends_with(&format!("did you mean {near}?")), "{line}: {error}");
+        assert!(
+            error.contains("cannot read ") && error.ends_with(&format!("did you mean {near} in the same folder?")),
+            "{line}: {error}"
+        );
     }
     let error = try_files(&[("t.mgf", "map_rd lost.png")]).unwrap_err();
     assert!(matches!(&*error.fault, Fault::Unreadable { near: None, .. }), "{error}");
+}
+
+/// Names in a file start at its own folder.
+#[test]
+fn a_near_name_has_no_folder() {
+    for (line, path, near) in [
+        ("map_rd Wood.PNG", "house/Wood.PNG", "Wood.png"),
+        ("map_rd ../oak.png", "oak.png", "Oak.png"),
+        ("map_rd maps/Tile.png", "house/maps/Tile.png", "tile.png"),
+    ] {
+        let files = [
+            ("t.mgf", "i house/room.mgf"),
+            ("house/room.mgf", line),
+            ("house/Wood.png", ""),
+            ("Oak.png", ""),
+            ("house/maps/tile.png", ""),
+        ];
+        let error = try_files(&files).unwrap_err();
+        assert!(matches!(&*error.fault, Fault::Unreadable { near: Some(name), .. } if name == near), "{error:?}");
+        let error = error.to_string();
+        assert!(error.starts_with(&format!("house/room.mgf:1:8: cannot read `{path}`")), "{error}");
+        assert!(error.ends_with(&format!("; did you mean `{near}` in the same folder?")), "{error}");
+    }
+}
+
+/// Files that count how often they are looked up.
+struct Counted(Bundle, Cell<usize>);
+
+impl Files for Counted {
+    fn size(&self, path: &str) -> io::Result<u64> {
+        self.1.set(self.1.get() + 1);
+        self.0.size(path)
+    }
+
+    fn read(&self, path: &str) -> io::Result<Vec<u8>> {
+        self.0.read(path)
+    }
+}
+
+#[test]
+fn a_missing_file_is_looked_up_at_its_first_use_alone() {
+    let lookups = |lines: usize| {
+        let text = "i lost.mgf -t 1 2 3\nies lost.ies -m 2 -rz 5\n".repeat(lines);
+        let files = Counted(bundle(&[("t.mgf", &text)]), Cell::new(0));
+        assert_eq!(load_or_list(&files, "t.mgf").unwrap_err().errors.len(), 2);
+        files.1.get()
+    };
+    assert_eq!(lookups(1), lookups(50));
 }
 
 #[test]
@@ -111,6 +164,6 @@ fn a_folder_on_disk_names_its_files_and_none_outside_of_the_root() {
         path.load().unwrap_err().to_string()
     };
     std::fs::write(root.path().join("in/My Lamp.ies"), LAMP).unwrap();
-    assert!(load("ies \"my lamp.ies\"").ends_with("did you mean `\"My Lamp.ies\"`?"));
+    assert!(load("ies \"my lamp.ies\"").ends_with("did you mean `\"My Lamp.ies\"` in the same folder?"));
     assert!(load("ies ../lamp.ies").contains("leaves the scene's root folder"));
 }

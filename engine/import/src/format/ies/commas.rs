@@ -7,13 +7,14 @@
 //! the count of tilt factors may be changed to one that happens to fit.)
 
 use super::numbers::{Comma, Numbers, decimal_end};
-use crate::{Fault, ImportError, Position};
+use crate::{Fault, ImportError, Position, text::excerpt};
 
 /// Reads numbers with `read`; an error that decimal commas caused names them.
 /// - `line`: line of the file in which `text` starts.
 ///
-/// Decimal commas are the cause if the file can be read whole with them, if numbers are left over, or if they make the two
-/// lines above the angles have 10 and 3 numbers.
+/// Decimal commas are the cause if the file can be read whole with them, or if they make the two lines above the angles have
+/// 10 and 3 numbers. Where numbers are left over, the last commas may be decimal and the ones before them separate: `0,90` may
+/// be a list of two angles.
 pub(super) fn read_numbers<T>(
     path: &str,
     text: &[u8],
@@ -24,31 +25,49 @@ pub(super) fn read_numbers<T>(
         Ok(value) => return Ok(value),
         Err(error) => error,
     };
-    let Some((at, found)) = first_decimal_comma(text) else { return Err(error) };
-    let proved = read(&mut Numbers::new(path, text, line, Comma::Decimal)).is_ok();
-    let left_over = matches!(*error.fault, Fault::LeftOver { .. });
-    if proved || left_over || standard_lines_have_decimal_commas(text) {
-        let before = &text[..at];
-        let start = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |newline| newline + 1);
-        let breaks = before.iter().filter(|&&byte| byte == b'\n').count() as u32;
-        let column = (at - start) as u32 + 1;
-        let at = Position { file: path.to_owned(), line: line.saturating_add(breaks), column };
-        return Err(ImportError::new(at, Fault::DecimalComma { found }));
-    }
-    Err(error)
+    let Some(first) = decimal_commas(text).next() else { return Err(error) };
+    let mut is_proved = |start| read(&mut Numbers::new(path, text, line, Comma::DecimalFrom(start))).is_ok();
+    let culprit = match *error.fault {
+        _ if is_proved(first) || standard_lines_have_decimal_commas(text) => Some(first),
+        // Each decimal comma makes one number too many.
+        Fault::LeftOver { numbers: excess @ 1.., .. } => {
+            nth_last_decimal_comma(text, excess).filter(|&at| is_proved(at))
+        }
+        _ => None,
+    };
+    Err(culprit.and_then(|at| decimal_comma(path, text, line, at)).unwrap_or(error))
 }
 
-/// Offset and text of the first number with a decimal comma.
-fn first_decimal_comma(text: &[u8]) -> Option<(usize, String)> {
+/// The error of the number with a decimal comma at an offset of the text.
+fn decimal_comma(path: &str, text: &[u8], line: u32, at: usize) -> Option<ImportError> {
+    let (before, field) = text.split_at(at);
+    let found = excerpt(&field[..decimal_end(field)?]);
+    let start = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |newline| newline + 1);
+    let breaks = before.iter().filter(|&&byte| byte == b'\n').count() as u32;
+    let column = (at - start) as u32 + 1;
+    let at = Position { file: path.to_owned(), line: line.saturating_add(breaks), column };
+    Some(ImportError::new(at, Fault::DecimalComma { found }))
+}
+
+/// Offsets of the fields that may be numbers with a decimal comma.
+fn decimal_commas(text: &[u8]) -> impl Iterator<Item = usize> {
     let mut at = 0;
-    while at < text.len() {
-        let field = &text[at..];
-        if let Some(end) = decimal_end(field) {
-            return Some((at, String::from_utf8_lossy(&field[..end]).into_owned()));
+    std::iter::from_fn(move || {
+        while at < text.len() {
+            let (start, field) = (at, &text[at..]);
+            at += field.iter().position(u8::is_ascii_whitespace).map_or(field.len(), |end| end + 1);
+            if decimal_end(field).is_some() {
+                return Some(start);
+            }
         }
-        at += field.iter().position(u8::is_ascii_whitespace).map_or(field.len(), |end| end + 1);
-    }
-    None
+        None
+    })
+}
+
+/// Offset of the field from which on `n` fields may have a decimal comma.
+fn nth_last_decimal_comma(text: &[u8], n: u64) -> Option<usize> {
+    let skip = decimal_commas(text).count().checked_sub(usize::try_from(n).ok()?)?;
+    decimal_commas(text).nth(skip)
 }
 
 /// Whether one of the two lines that hold 10 and 3 numbers by the standard does so with decimal commas alone. They are looked
@@ -66,7 +85,7 @@ fn standard_lines_have_decimal_commas(text: &[u8]) -> bool {
         text.split(|&byte| byte == b'\n').filter(|line| !line.trim_ascii().is_empty()).take(8).collect();
     lines.windows(2).any(|pair| {
         let [ten, three] =
-            [pair[0], pair[1]].map(|line| [Comma::Separator, Comma::Decimal].map(|comma| count(line, comma)));
+            [pair[0], pair[1]].map(|line| [Comma::Separator, Comma::DecimalFrom(0)].map(|comma| count(line, comma)));
         ten[1] == 10 && three[1] == 3 && (ten[0] > 10 || three[0] > 3)
     })
 }

@@ -2,7 +2,8 @@
 //!
 //! Between its angles a table is bilinear. Every value is the height of a hat function, so the flux is a sum of the values
 //! times the integrals of their hats: `1/rad` ramps times the sine of the polar angle in one direction, trapezoids in the
-//! other. The angles of the table's symmetry are those of `femc_emission`'s distributions, whose flux a test compares.
+//! other. Tables that cover a part of the sphere are completed by symmetry in the way of `femc_emission`'s distributions; a
+//! test compares the fluxes of the two.
 
 use femc_math::elementary::double::{cos, sin};
 use femc_scene::{Photometry, PhotometryType};

@@ -1,7 +1,7 @@
 //! The lines above the numbers: the edition, keywords, and `TILT=`.
 
 use super::{Remarks, edition::Edition};
-use crate::{Fault, ImportError, Position};
+use crate::{Fault, ImportError, Position, text::excerpt};
 
 /// Source of a file's edition.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,14 +15,14 @@ pub(super) enum Named {
     },
     /// A line names LM-63 and no edition that exists.
     Unclear {
-        /// The line.
+        /// Start of the line.
         line: String,
     },
 }
 
 /// Content of the lines above the numbers.
 pub(super) struct Header<'t> {
-    /// `Unclear` has the edition of 2002, whose shapes are those of 2019.
+    /// Edition; 2002 where the header is unclear. The openings of 2002 and 2019 have the same shapes.
     pub edition: Edition,
     pub named: Named,
     /// Place and value of `TILT=`.
@@ -53,7 +53,7 @@ impl<'t> Header<'t> {
             let year = if named.is_none() { edition_year(this) } else { None };
             // Below the first line, words about LM-63 without a year are a label.
             if let Some(year) = year.filter(|year| first_text || year.is_some()) {
-                let shown = String::from_utf8_lossy(this).into_owned();
+                let shown = excerpt(this);
                 let read = year.and_then(Edition::of_year);
                 if let Some(edition) = read.filter(|edition| Some(edition.year()) != year) {
                     let year = edition.year();

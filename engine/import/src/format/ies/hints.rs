@@ -2,7 +2,8 @@
 
 use super::{Remark, fields::Fields};
 
-/// A luminaire may give this much more than its lamps before it is said: ratings are rounded, and lamps are warmer or colder.
+/// Largest flux of a luminaire without a note, as a factor on the flux of its lamps: ratings are rounded, and lamps are warmer
+/// or colder.
 const TOLERANCE: f64 = 1.1;
 /// Part of 1000 lm within which a flux is 1000 lm.
 const EQUAL: f64 = 1e-3;

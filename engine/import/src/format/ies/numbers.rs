@@ -3,16 +3,16 @@
 //! Numbers are separated by blanks, line ends, or one comma with or without blanks after it. Two commas in a row and a comma
 //! right before a number that does not follow a number are refused: `,5` may be a decimal fraction.
 
-use crate::{Fault, ImportError, Position};
+use crate::{Fault, ImportError, Position, text::excerpt};
 
 /// Meaning of a comma.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Comma {
     /// A comma separates numbers: the rule of LM-63.
     Separator,
-    /// A comma between two digits is a decimal point, if it is the only one between blanks. No file is read so: this reading
-    /// proves that a file has decimal commas.
-    Decimal,
+    /// A comma between two digits is a decimal point, if it is the only one between blanks, from this offset of the text on.
+    /// No file is read so: this reading proves that a file has decimal commas.
+    DecimalFrom(usize),
 }
 
 /// Numbers of a text, one after the other.
@@ -60,8 +60,10 @@ impl<'t> Numbers<'t> {
         let rest = self.rest();
         let inside_list = self.at > 0 && self.text[self.at - 1] == b',';
         let end = match self.comma {
-            Comma::Decimal if !inside_list => decimal_end(rest).unwrap_or_else(|| field_end(rest)),
-            Comma::Decimal | Comma::Separator => field_end(rest),
+            Comma::DecimalFrom(start) if self.at >= start && !inside_list => {
+                decimal_end(rest).unwrap_or_else(|| field_end(rest))
+            }
+            Comma::DecimalFrom(_) | Comma::Separator => field_end(rest),
         };
         (end > 0).then(|| &rest[..end])
     }
@@ -83,13 +85,8 @@ impl<'t> Numbers<'t> {
             return Err(self.bad(format!("it ends where the {what} should be"), "it may be cut short"));
         };
         self.check_commas(field)?;
-        let mut text = String::from_utf8_lossy(field).into_owned();
-        if self.comma == Comma::Decimal {
-            text = text.replace(',', ".");
-        }
-        let numeric = text.bytes().all(|b| b"0123456789+-.eE".contains(&b));
-        let Some(value) = text.parse::<f64>().ok().filter(|_| numeric) else {
-            return Err(ImportError::new(self.here(), Fault::NotANumber { found: text, expected: what }));
+        let Some(value) = parse(field) else {
+            return Err(ImportError::new(self.here(), Fault::NotANumber { found: excerpt(field), expected: what }));
         };
         if !value.is_finite() {
             return Err(ImportError::new(self.here(), Fault::NotFinite { what }));
@@ -106,7 +103,7 @@ impl<'t> Numbers<'t> {
         if leading && field.first().is_some_and(u8::is_ascii_digit) {
             let mut at = self.here();
             at.column = at.column.saturating_sub(1);
-            let found = format!(",{}", String::from_utf8_lossy(field));
+            let found = format!(",{}", excerpt(field));
             return Err(ImportError::new(at, Fault::DecimalComma { found }));
         }
         if commas > 1 || (commas > 0 && self.end == 0) {
@@ -123,11 +120,12 @@ impl<'t> Numbers<'t> {
         allowed: impl Fn(f64) -> bool,
     ) -> Result<f64, ImportError> {
         self.token();
-        let at = self.here();
+        let (line, column) = (self.line, self.column);
         let value = self.number(what)?;
         if allowed(value) {
             return Ok(value);
         }
+        let at = Position { file: self.file.to_owned(), line, column };
         Err(ImportError::new(at, Fault::OutOfRange { what, value, allowed: domain }))
     }
 
@@ -174,9 +172,18 @@ impl<'t> Numbers<'t> {
         while counting.number(last).is_ok() {
             count += 1;
         }
-        let found = String::from_utf8_lossy(first).into_owned();
+        let found = excerpt(first);
         Err(ImportError::new(self.here(), Fault::LeftOver { found, numbers: count, last }))
     }
+}
+
+/// The number that a field is; a comma in it is a decimal point.
+fn parse(field: &[u8]) -> Option<f64> {
+    let text = std::str::from_utf8(field).ok()?;
+    if !field.iter().all(|byte| b"0123456789+-.,eE".contains(byte)) {
+        return None;
+    }
+    if field.contains(&b',') { text.replace(',', ".").parse().ok() } else { text.parse().ok() }
 }
 
 fn separates(byte: u8) -> bool {

@@ -1,6 +1,7 @@
 //! Luminous openings: width (y), length (x) and height by the signs of their sizes.
 //!
-//! Zeros make a point, positive sizes a box. Negative sizes are diameters of round shapes, by two tables:
+//! Zeros make a point, positive sizes a box. Negative sizes are diameters of round shapes, by two tables. Parentheses mark signs
+//! that the editions of a column do not define: they have the meaning of the other column.
 //!
 //! | width, length, height | 1986 to 1995 | since 2002 |
 //! | --- | --- | --- |
@@ -11,9 +12,10 @@
 //! | -w l h; w -l h | ellipse | (as before) |
 //! | -w l -h; w -l -h | ellipsoid | lying cylinder |
 //! | -d -d 0; -d -d h | (as since 2002) | circle, upright cylinder |
-//! | -d -d -d | (as since 2002) | sphere |
+//! | -w -l 0; -w -l h | (as since 2002) | ellipse, elliptic cylinder |
+//! | -d -d -d; -w -l -h | (as since 2002) | sphere, ellipsoid |
 //!
-//! Signs that an edition does not define have the meaning that another edition gives them.
+//! No edition defines `w l -h`: it is a box.
 
 use super::edition::Edition;
 use femc_math::elementary::double::cbrt;

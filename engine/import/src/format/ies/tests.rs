@@ -10,6 +10,7 @@ fn read(text: &str) -> Result<Luminaire, ImportError> {
         "bend.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5\nEND\n".to_vec()))),
         "commas.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 0,9 0,5\n".to_vec()))),
         "long.tlt" => Ok((name.to_owned(), Arc::new(b"1\n3\n0 45 90\n1 .9 .5 .1\n".to_vec()))),
+        _ if name.len() > 100 => crate::files::resolve("lamp.ies", name).map(|path| (path, Arc::default())),
         _ => Err(Fault::Unreadable { path: name.to_owned(), reason: "not found".into(), near: None }),
     })
 }
@@ -63,20 +64,20 @@ fn factors_multiply_and_feet_become_metres() {
 
 #[test]
 fn openings_follow_the_signs_of_their_sizes() {
-    let of = |size: &str| {
+    let opening = |size: &str| {
         let lamp = read(&file(C, 1, size, "0 90", "0")).unwrap();
         (lamp.photometry.opening, lamp.remarks.warnings.len())
     };
-    assert_eq!(of("0 0 0"), (Opening::Point, 0));
-    assert_eq!(of(".5 2 0"), (Opening::Box { width: 0.5, length: 2.0, height: 0.0 }, 0));
-    assert_eq!(of("-.4 0 0"), (Opening::Cylinder { diameter: 0.4, height: 0.0 }, 0));
-    assert_eq!(of("-.4 -.4 0"), (Opening::Cylinder { diameter: 0.4, height: 0.0 }, 0));
-    assert_eq!(of("-.4 -.4 1.5"), (Opening::Cylinder { diameter: 0.4, height: 1.5 }, 0));
-    assert!(matches!(of("-.4 -.4 -.4"), (Opening::Sphere { diameter }, 0) if (diameter - 0.4).abs() < 1e-12));
-    assert!(matches!(of("-.4 -.9 0"), (Opening::Cylinder { diameter, .. }, 1) if (diameter - 0.6).abs() < 1e-12));
-    assert_eq!(of("-.4 2 -.4"), (Opening::Box { width: 0.4, length: 2.0, height: 0.4 }, 1));
-    assert_eq!(of("0 -.4 -.4"), (Opening::Box { width: 0.0, length: 0.4, height: 0.4 }, 1));
-    assert_eq!(of("0 3 0"), (Opening::Point, 1));
+    assert_eq!(opening("0 0 0"), (Opening::Point, 0));
+    assert_eq!(opening(".5 2 0"), (Opening::Box { width: 0.5, length: 2.0, height: 0.0 }, 0));
+    assert_eq!(opening("-.4 0 0"), (Opening::Cylinder { diameter: 0.4, height: 0.0 }, 0));
+    assert_eq!(opening("-.4 -.4 0"), (Opening::Cylinder { diameter: 0.4, height: 0.0 }, 0));
+    assert_eq!(opening("-.4 -.4 1.5"), (Opening::Cylinder { diameter: 0.4, height: 1.5 }, 0));
+    assert!(matches!(opening("-.4 -.4 -.4"), (Opening::Sphere { diameter }, 0) if (diameter - 0.4).abs() < 1e-12));
+    assert!(matches!(opening("-.4 -.9 0"), (Opening::Cylinder { diameter, .. }, 1) if (diameter - 0.6).abs() < 1e-12));
+    assert_eq!(opening("-.4 2 -.4"), (Opening::Box { width: 0.4, length: 2.0, height: 0.4 }, 1));
+    assert_eq!(opening("0 -.4 -.4"), (Opening::Box { width: 0.0, length: 0.4, height: 0.4 }, 1));
+    assert_eq!(opening("0 3 0"), (Opening::Point, 1));
 }
 
 #[test]
@@ -153,6 +154,27 @@ fn nothing_may_follow_the_last_intensity_but_end() {
     }
     let error = read(&good.replace("NONE", "long.tlt")).unwrap_err().to_string();
     assert!(error.starts_with("long.tlt:4:9: 1 number follows the last tilt factor"), "{error}");
+}
+
+#[test]
+fn messages_have_the_start_of_a_long_text() {
+    let good = file("IESNA:LM-63\nTILT=NONE\n", 1, "0 0 0", "0 90", "0");
+    let long = "x".repeat(10_000);
+    let digits = "5".repeat(10_000);
+    for text in [
+        good.replace("1 1 100", "1 1.1 100").replace("LM-63", &format!("LM-63 {long}")),
+        good.replace("1 1 100", &format!("1 1 {long}")),
+        format!("{good}{long}"),
+        good.replace("0 90", &format!("0 ,{digits}")),
+        good.replace("1 1 100", &format!("0,{digits} 1 100")),
+        good.replace("NONE", &long),
+        good.replace("NONE", &format!("/{long}")),
+    ] {
+        let error = read(&text).unwrap_err().to_string();
+        assert!(error.len() < 400 && error.contains("..."), "{} bytes: {error:.500}", error.len());
+    }
+    let warned = read(&good.replace("LM-63", &format!("LM-63-2031 {long}"))).unwrap();
+    assert!(warnings(&warned)[0].len() < 200, "{:?}", warnings(&warned));
 }
 
 #[test]

@@ -49,12 +49,16 @@ impl Reader<'_> {
     /// The file that the first argument names, from the root; one outside the scene's folder is said once.
     pub(super) fn resolve(&mut self, args: &Args<'_>) -> Result<String> {
         args.check_quotes()?;
-        self.check_blanks(args)?;
-        let path = files::resolve(args.file, &args.text(0)).map_err(|fault| args.fault_at(0, fault))?;
-        if self.errors.has_failed(&path) {
+        let resolved = files::resolve(args.file, &args.text(0));
+        if let Ok(path) = &resolved
+            && let Some(fault) = self.errors.fault_of_file(path).cloned()
+        {
+            // The fault is listed already.
             self.errors.taint();
-            return Err(args.fault_at(0, Fault::Unreadable { path, reason: String::new(), near: None }));
+            return Err(args.fault_at(0, fault));
         }
+        self.check_blanks(args, resolved.as_deref().ok())?;
+        let path = resolved.map_err(|fault| args.fault_at(0, fault))?;
         if !path.starts_with(&self.folder) && self.outside.insert(path.clone()) {
             self.warnings.push(args.argument_at(0), Oddity::OutsideFolder { path: path.clone() });
         }
@@ -63,15 +67,16 @@ impl Reader<'_> {
 
     /// Fails where the arguments are the parts of a file name that has blanks and no quotes: a file has that name, or what
     /// follows the first part cannot be an option.
-    fn check_blanks(&self, args: &Args<'_>) -> Result<()> {
-        let is_there = |path: String| self.texts.contains_key(&path) || self.files.size(&path).is_ok();
-        let is_file = |name: &str| files::resolve(args.file, name).is_ok_and(is_there);
+    /// - `path`: path of the first argument, if it is one.
+    fn check_blanks(&self, args: &Args<'_>, path: Option<&str>) -> Result<()> {
+        let is_there = |path: &str| self.texts.contains_key(path) || self.files.size(path).is_ok();
         let may_be_option = args.raw(1).first().is_none_or(|&byte| byte == b'-');
-        if args.is_quoted() || args.len() < 2 || may_be_option && is_file(&args.text(0)) {
+        if args.is_quoted() || args.len() < 2 || may_be_option && path.is_some_and(is_there) {
             return Ok(());
         }
         let parts = args.len().min(MAX_PARTS);
-        let name = (2..=parts).rev().map(|n| args.joined(n)).find(|name| is_file(name));
+        let is_file = |name: &String| files::resolve(args.file, name).is_ok_and(|path| is_there(&path));
+        let name = (2..=parts).rev().map(|n| args.joined(n)).find(is_file);
         let entity = args.entity().into_owned();
         match name {
             Some(name) => Err(args.fault_at(0, Fault::BlankName { entity, name, exists: true })),

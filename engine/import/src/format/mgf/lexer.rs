@@ -2,8 +2,8 @@
 //!
 //! A trailing `\` joins the next line; fields are split by blanks and keep the place where they stand, so that a fault in a
 //! joined line names the physical line. Nothing is copied: fields borrow from the text. A double quote at the start of a
-//! file name (the first argument of `i`, `ies` and the `map` entities) takes all up to the next quote as one field; elsewhere
-//! quotes are letters.
+//! file name (the first argument of `i`, `ies` and the `map` entities) takes all up to the next quote, or to the end of the
+//! line, as one field, in which `\` is a letter; elsewhere quotes are letters.
 
 /// Longest joined line, bytes.
 pub(super) const MAX_LINE: usize = 4096;
@@ -111,7 +111,8 @@ impl<'t> Lexer<'t> {
         self.rest = bytes.get(at + 1..).unwrap_or_default();
         let line = &bytes[..at];
         let line = line.strip_suffix(b"\r").unwrap_or(line);
-        let joined = line.ends_with(b"\\");
+        let in_quotes = tokens.last().is_some_and(|last| last.quotes == Quotes::Open);
+        let joined = line.ends_with(b"\\") && !in_quotes;
         if let (true, Some(last)) = (joined, tokens.last_mut().filter(|last| last.text.ends_with(b"\\"))) {
             last.text = &last.text[..last.text.len() - 1];
             if last.text.is_empty() {
@@ -170,6 +171,10 @@ mod tests {
         }
         // A quote ends with its line, whatever the line's end; a `\\` within quotes joins nothing.
         assert_eq!(fields(b"i \"a b\r\ni \"c\\\"\n"), ["1:i", "3:a b", "1:i", "3:c\\"]);
+        for line_end in ["\n", "\r\n"] {
+            let text = format!("i \"\\{line_end}o d{line_end}i \"e \\{line_end}o");
+            assert_eq!(fields(text.as_bytes()), ["1:i", "3:\\", "1:o", "3:d", "1:i", "3:e \\", "1:o"]);
+        }
     }
 
     #[test]

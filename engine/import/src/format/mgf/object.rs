@@ -33,27 +33,36 @@ impl Reader<'_> {
         }
         let id = match self.object_ids.get(&name) {
             Some(&id) => {
-                self.opened_again(id, args.at());
+                self.opened_again(id, args);
                 id
             }
             None => {
-                let id = ObjectId(self.scene.objects.len() as u32);
-                self.scene.objects.push(Object { name: name.clone(), parent, hidden: false });
+                let id = self.add_object(Object { name: name.clone(), parent, hidden: false }, Some(args.at()));
                 self.object_ids.insert(name, id);
-                self.object_places.push(Some(args.at()));
                 id
             }
         };
-        self.objects.push((id, args.at()));
+        self.objects.push((id, args.location()));
         Ok(())
     }
 
-    /// Warns of a name that two places of the scene give, once. Copies by an array or by an include that stands twice are opened in one place.
-    fn opened_again(&mut self, id: ObjectId, at: Position) {
+    /// Adds an object to the scene.
+    /// - `place`: place that opens it; `None` if nothing is to be said where it is opened again.
+    pub(super) fn add_object(&mut self, object: Object, place: Option<Position>) -> ObjectId {
+        let id = ObjectId(self.scene.objects.len() as u32);
+        self.scene.objects.push(object);
+        self.object_places.push(place);
+        id
+    }
+
+    /// Warns of a name that two places of the scene give, once. Copies by an array or by an include that stands twice are
+    /// opened in one place.
+    fn opened_again(&mut self, id: ObjectId, args: &Args<'_>) {
+        let line = args.location().line;
         let Some(place) = self.object_places.get_mut(id.index()) else { return };
-        if let Some(first) = place.take_if(|first| (&first.file, first.line) != (&at.file, at.line)) {
+        if let Some(first) = place.take_if(|first| first.line != line || first.file != args.file) {
             let name = self.scene.objects[id.index()].name.clone();
-            self.warnings.push(at, Oddity::ObjectAgain { name, first });
+            self.warn(args, Oddity::ObjectAgain { name, first });
         }
     }
 
@@ -64,7 +73,8 @@ impl Reader<'_> {
 
     /// Closes the objects that the current file left open.
     pub(super) fn close_objects(&mut self) {
-        for (_, at) in self.objects.split_off(self.open_at_start().objects) {
+        for (_, location) in self.objects.split_off(self.open_at_start().objects) {
+            let at = self.position(location);
             self.warnings.push(at, Oddity::LeftOpen { entity: "o" });
         }
     }

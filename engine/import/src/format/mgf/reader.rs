@@ -60,7 +60,7 @@ pub(super) struct Reader<'f> {
     pub vertices: Table<VertexState>,
     pub cameras: Table<Camera>,
     pub media: Table<MediumState>,
-    /// Whether a colour was given since the medium was opened: colours of other contexts do not tint media.
+    /// Whether a color was given since the medium was opened: colors of other contexts do not tint media.
     pub medium_colored: bool,
     /// Whether a color was given since the medium was opened and since its latest `sigma_s`.
     pub absorption_colored: bool,
@@ -78,7 +78,8 @@ pub(super) struct Reader<'f> {
     /// Paths whose definition failed.
     pub faulty_paths: HashSet<PathId>,
 
-    pub objects: Vec<(ObjectId, Position)>,
+    /// Open objects and the places that opened them, outermost first.
+    pub objects: Vec<(ObjectId, Location)>,
     pub object_ids: HashMap<String, ObjectId>,
     /// By object the place that opened it first; `None` once it is known that another place opens it, too.
     pub object_places: Vec<Option<Position>>,
@@ -98,8 +99,14 @@ pub(super) struct Reader<'f> {
 /// Imports `entry` of `files`; ends with the error number `limit`.
 pub(crate) fn load(files: &dyn Files, entry: &str, limit: usize) -> std::result::Result<Loaded, ImportErrors> {
     let mut reader = Reader::new(files, limit);
-    let notes = reader.read(entry);
-    let notes = notes.or_else(|error| reader.errors.report(error).map(|()| Vec::new())).unwrap_or_default();
+    let notes = match reader.read(entry) {
+        Ok(notes) => notes,
+        Err(error) => {
+            // `finish` returns it with the errors before it.
+            let _ = reader.errors.report(error);
+            Vec::new()
+        }
+    };
     let Reader { scene, warnings, read, errors, .. } = reader;
     errors.finish(&scene.files)?;
     Ok(Loaded { scene, warnings: warnings.0, notes, files: read })

@@ -9,8 +9,8 @@ use super::{
     stack::Frame,
 };
 use crate::{Fault, ImportError, ImportErrors, Kind, Position};
-use femc_scene::{Interpolation, Location, MotionPath, Object, ObjectId, PathId};
-use std::collections::HashSet;
+use femc_scene::{Interpolation, Location, MotionPath, Object, PathId};
+use std::collections::HashMap;
 
 /// The errors of an import so far.
 #[derive(Debug)]
@@ -25,14 +25,14 @@ pub(super) struct Errors {
     ended: bool,
     /// Whether an include was skipped, so that any name may be defined in it.
     lost_include: bool,
-    /// Files that cannot be used.
-    failed: HashSet<String>,
+    /// Faults of the files that cannot be used, by path.
+    failed: HashMap<String, Fault>,
 }
 
 impl Errors {
     /// No errors; the import ends with the error number `limit`.
     pub fn new(limit: usize) -> Self {
-        let (list, failed) = (Vec::new(), HashSet::new());
+        let (list, failed) = (Vec::new(), HashMap::new());
         Self { list, limit: limit.max(1), tainted: false, ended: false, lost_include: false, failed }
     }
 
@@ -77,9 +77,9 @@ impl Errors {
         self.ended || self.list.len() >= self.limit
     }
 
-    /// Whether `path` was read in vain before.
-    pub fn has_failed(&self, path: &str) -> bool {
-        self.failed.contains(path)
+    /// Fault of the file `path`, if it cannot be used and that is reported.
+    pub fn fault_of_file(&self, path: &str) -> Option<&Fault> {
+        self.failed.get(path)
     }
 
     /// The errors in order of place, if there are any. `files` are the source files in order of first use.
@@ -102,13 +102,13 @@ impl Reader<'_> {
             Ok(()) => Ok(()),
         };
         if self.errors.tainted && entity != b"i" {
-            self.spoil(entity);
+            self.mark_faulty(entity);
         }
         self.errors.tainted = outer;
         outcome
     }
 
-    /// Makes good for an entity that failed: `open` are the transforms and objects that were open before it.
+    /// Restores the state after a faulty entity: `open` are the transforms and objects that were open before it.
     fn recover(&mut self, error: ImportError, entity: &[u8], args: &Args<'_>, open: (usize, usize)) -> Result<()> {
         let fault = error.fault.clone();
         if !self.errors.tainted || self.errors.is_over() {
@@ -116,15 +116,15 @@ impl Reader<'_> {
         }
         let (frames, objects) = open;
         if let Some(path) = fault.file() {
-            self.errors.failed.insert(path.to_owned());
+            self.errors.failed.entry(path.to_owned()).or_insert_with(|| (*fault).clone());
         }
         match (*fault, entity) {
-            (Fault::Undefined { kind: Kind::Path, name, .. }, _) => self.lose_path(&name, args.location()),
+            (Fault::Undefined { kind: Kind::Path, name, .. }, _) => self.define_faulty_path(&name, args.location()),
             (Fault::NoContext { kind, .. }, _) => match kind {
-                Kind::Camera => self.cameras.lose(None),
-                Kind::Medium => self.media.lose(None),
+                Kind::Camera => self.cameras.define_faulty(None),
+                Kind::Medium => self.media.define_faulty(None),
                 _ => {
-                    self.lose_path("", args.location());
+                    self.define_faulty_path("", args.location());
                     self.path = self.paths.get("").copied();
                 }
             },
@@ -132,15 +132,15 @@ impl Reader<'_> {
         }
         let name = (args.len() > 0).then(|| args.text(0));
         match entity {
-            b"v" => self.vertices.lose(name.as_deref()),
-            b"c" => self.colors.lose(name.as_deref()),
-            b"m" => self.materials.lose(name.as_deref()),
-            b"camera" => self.cameras.lose(name.as_deref()),
-            b"medium" => self.media.lose(name.as_deref()),
+            b"v" => self.vertices.define_faulty(name.as_deref()),
+            b"c" => self.colors.define_faulty(name.as_deref()),
+            b"m" => self.materials.define_faulty(name.as_deref()),
+            b"camera" => self.cameras.define_faulty(name.as_deref()),
+            b"medium" => self.media.define_faulty(name.as_deref()),
             b"path" => {
                 let name = name.unwrap_or_default();
                 if !self.paths.contains_key(&*name) {
-                    self.lose_path(&name, args.location());
+                    self.define_faulty_path(&name, args.location());
                 }
                 self.path = self.paths.get(&*name).copied();
             }
@@ -151,9 +151,8 @@ impl Reader<'_> {
                 return Ok(());
             }
             b"o" if args.len() > 0 && self.objects.len() == objects => {
-                let id = ObjectId(self.scene.objects.len() as u32);
-                self.scene.objects.push(Object { name: String::new(), parent: None, hidden: false });
-                self.objects.push((id, args.at()));
+                let id = self.add_object(Object { name: String::new(), parent: None, hidden: false }, None);
+                self.objects.push((id, args.location()));
             }
             _ => {}
         }
@@ -166,18 +165,20 @@ impl Reader<'_> {
     }
 
     /// Marks the context that a failed entity should have changed.
-    fn spoil(&mut self, entity: &[u8]) {
+    fn mark_faulty(&mut self, entity: &[u8]) {
         match entity {
-            b"p" | b"n" | b"uv" => self.vertices.spoil(),
-            b"cxy" | b"cspec" | b"cct" | b"cmix" | b"crgb" => self.colors.spoil(),
-            b"origin" | b"target" | b"up" | b"fov" | b"film" | b"lens" | b"shutter" | b"along" => self.cameras.spoil(),
+            b"p" | b"n" | b"uv" => self.vertices.mark_faulty(),
+            b"cxy" | b"cspec" | b"cct" | b"cmix" | b"crgb" => self.colors.mark_faulty(),
+            b"origin" | b"target" | b"up" | b"fov" | b"film" | b"lens" | b"shutter" | b"along" => {
+                self.cameras.mark_faulty()
+            }
             b"key" => self.faulty_paths.extend(self.path),
             _ => {}
         }
     }
 
     /// Defines the path `name`, without keys.
-    fn lose_path(&mut self, name: &str, location: Location) {
+    fn define_faulty_path(&mut self, name: &str, location: Location) {
         let id = PathId(self.scene.paths.len() as u32);
         let (name, interpolation) = (name.to_owned(), Interpolation::Linear);
         self.scene.paths.push(MotionPath { name: name.clone(), location, interpolation, keys: vec![] });

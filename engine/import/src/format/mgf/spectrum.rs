@@ -76,7 +76,7 @@ pub(super) struct Gamut {
 impl Gamut {
     /// The linear Rec.709 color `raw` at luminance 1; negative components are clipped to 0. `None` for black.
     pub fn new(raw: [f64; 3]) -> Option<Self> {
-        // Rounding leaves a primary's other components a hair off 0: that is no clipping.
+        // Rounding leaves a primary's other components slightly below 0: that does not count as clipping.
         let clipped = raw.iter().any(|&x| x < -1e-6 * luminance(raw).max(0.0));
         let rgb = normalized(raw.map(|x| x.max(0.0)))?;
         // Chromaticities far below the line of purples have no positive luminance once they are adapted to the white point.

@@ -96,8 +96,8 @@ impl<T: Clone> Table<T> {
         Ok(index)
     }
 
-    /// Makes a context the current one whose definition failed.
-    pub fn lose(&mut self, name: Option<&str>) {
+    /// Defines a context whose definition failed, and makes it the current one.
+    pub fn define_faulty(&mut self, name: Option<&str>) {
         self.current = match name {
             Some(name) => self.put(name, self.default.clone()),
             None => {
@@ -105,11 +105,11 @@ impl<T: Clone> Table<T> {
                 self.slots.len() as u32 - 1
             }
         };
-        self.spoil();
+        self.mark_faulty();
     }
 
     /// Marks the current context as faulty.
-    pub fn spoil(&mut self) {
+    pub fn mark_faulty(&mut self) {
         self.faulty.insert(self.current);
     }
 

@@ -54,6 +54,25 @@ fn decimal_commas_beside_lists_with_commas_are_named() {
     assert!(error(&broken).starts_with("lamp.ies:2:3: `900,5`: decimal commas"), "{}", error(&broken));
 }
 
+/// A list of two angles, `0,90`, looks like a number with a decimal comma.
+#[test]
+fn left_over_numbers_are_decimal_commas_if_these_explain_them() {
+    let text = |table: &str| format!("TILT=NONE\n1 -1 1 2 2 1 2 0 0 0\n1 1 20\n0,90\n0,90\n{table}\n");
+    for (table, says) in [
+        ("9,5,2,1\n7", "lamp.ies:7:1: 1 number follows the last intensity"),
+        ("9 5 2 1 7", "lamp.ies:6:9: 1 number follows"),
+        ("9 5 2 1 7 8", "lamp.ies:6:9: 2 numbers follow"),
+        ("9 5 2 1 7 8 9", "lamp.ies:6:9: 3 numbers follow"),
+        ("9 5 2 1\nlabel", "lamp.ies:7:1: `label` follows"),
+        ("9 5,5 2 1", "lamp.ies:6:3: `5,5`: decimal commas"),
+        ("9,5 5 2,25 1", "lamp.ies:6:1: `9,5`: decimal commas"),
+        ("9,5 5,0 2,25 1,5", "lamp.ies:6:1: `9,5`: decimal commas"),
+        ("9,5 5 2,25 1 7", "lamp.ies:6:9: 3 numbers follow"),
+    ] {
+        assert!(error(&text(table)).starts_with(says), "{table}: {}", error(&text(table)));
+    }
+}
+
 #[test]
 fn a_comma_before_a_number_may_be_a_fraction_and_is_refused() {
     let text = |table: &str| format!("TILT=NONE\n1 -1 1 3 1 1 2 0 0 0\n1 1 20\n0 45 90\n0\n{table}\n");

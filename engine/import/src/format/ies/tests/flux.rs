@@ -4,7 +4,7 @@ use super::{super::flux::lumens, *};
 use femc_emission::photometry::{IntensityDistribution, PhotometryKind};
 use proptest::prelude::*;
 
-/// Angles from `first` to `last`, with those of `inner` (parts of the way) between them.
+/// Ascending angles from `first` to `last`; `inner` has the angles between them, in 256ths of the way.
 fn list(first: f64, last: f64, inner: &[u8]) -> Vec<f64> {
     let mut angles: Vec<f64> = inner.iter().map(|&part| first + (last - first) * f64::from(part) / 256.0).collect();
     angles.extend([first, last]);

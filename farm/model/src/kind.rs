@@ -27,7 +27,7 @@ pub enum StageKind {
 }
 
 /// Tasks of one lane are done one after the other, those of different lanes side by side.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Lane {
     /// Takes all threads of the worker.
     Compute,

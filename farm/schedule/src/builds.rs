@@ -168,23 +168,19 @@ impl Scheduler {
 
     /// Frames with something ready that nobody with room may take.
     pub(crate) fn why_other_build(&self, id: JobId, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
-        let has_room = |worker: &Worker| {
-            worker.held.len() < worker.capacity(&self.config)
-                && worker.is_fit(&self.config, now)
-                && worker.has_tags(&job.spec.tags)
-        };
-        let capable: Vec<(WorkerId, &Worker)> = self
-            .table
-            .workers
-            .iter()
-            .filter(|(_, worker)| has_room(worker))
+        let is_capable = |worker: &Worker| worker.is_fit(&self.config, now) && worker.has_tags(&job.spec.tags);
+        let capable: Vec<(WorkerId, &Worker)> = (self.table.workers.iter())
+            .filter(|(_, worker)| is_capable(worker))
             .map(|(&id, worker)| (id, worker))
             .collect();
         let is_reserved = |&(frame, open): &(u32, &OpenUnit)| {
-            let tags = open.stages().map(|(stage, _)| job.tags_of(stage.number));
-            let capable = tags.flat_map(|tags| capable.iter().filter(|(_, worker)| worker.has_tags(tags)));
-            let mut capable = capable.peekable();
-            capable.peek().is_some() && capable.all(|&(worker, _)| self.is_reserved_for_others(id, frame, worker))
+            let able = open.stages().flat_map(|(stage, _)| {
+                let (tags, lane) = (job.tags_of(stage.number), stage.kind.row().lane);
+                let may_take = move |worker: &Worker| worker.has_tags(tags) && worker.has_room(lane, &self.config);
+                capable.iter().filter(move |(_, worker)| may_take(worker))
+            });
+            let mut able = able.peekable();
+            able.peek().is_some() && able.all(|&(worker, _)| self.is_reserved_for_others(id, frame, worker))
         };
         let frames = ready_tasks.open.ready().filter(is_reserved).count() as u32;
         (frames > 0).then_some(Wait::OtherBuild { frames })

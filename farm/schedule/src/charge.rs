@@ -44,7 +44,7 @@ impl Scheduler {
 
     /// Ends a lease, however it ends.
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
-        let (lease, bill) = self.table.release(key, self.now)?;
+        let (lease, bill) = self.table.release(key, &self.config, self.now)?;
         bill.into_iter().for_each(|bill| self.charge(bill));
         if let Some(job) = self.ledger.jobs.get(&key.0.job).filter(|known| known.shared.is_none()) {
             self.order.unclaim(&job.spec.owner, lease.claim);

@@ -29,8 +29,10 @@ pub struct Config {
     /// Tasks that a worker holds beyond those that it runs: one that it can begin at once, and one whose result is on its
     /// way and counts as held until it is durable.
     pub prefetch: u32,
-    /// Short tasks: up to so many milliseconds of work, and at most [`Config::DEEPEST`] tasks, are queued at each worker, to hide
-    /// the network's latency.
+    /// Milliseconds of work that may wait at a worker before a second task waits there, too.
+    pub queue: u64,
+    /// Milliseconds of work that may wait at a worker beyond `prefetch`, in at most [`Config::DEEPEST`] tasks: so many short tasks
+    /// hide the network's latency.
     pub ahead: u64,
     /// A lease is meant to take so long, where a task can be cut.
     pub task: u64,
@@ -77,15 +79,10 @@ impl Default for Quota {
 
 impl Config {
     /// Most tasks that a worker holds beyond `prefetch`.
-    pub const DEEPEST: u64 = 64;
+    pub const DEEPEST: usize = 64;
 
     /// Bytes that each content counts in `shared_bytes` for what the ledger keeps of it.
     pub const SHARED_OVERHEAD: u64 = 64 << 10;
-
-    /// Tasks that a worker holds beyond `prefetch`, where each takes so many milliseconds.
-    pub(crate) fn depth(&self, milliseconds: u64) -> usize {
-        (self.ahead / milliseconds.max(1)).min(Self::DEEPEST) as usize
-    }
 
     /// Pixel samples of a grain: some tenths of a second of one processor, seconds where light is hard to find.
     pub const GRAIN: NonZeroU64 = NonZeroU64::new(1 << 15).unwrap();
@@ -117,6 +114,7 @@ impl Default for Config {
             quarantine: 60_000,
             longest_quarantine: 3_600_000,
             prefetch: 2,
+            queue: 2_000,
             ahead: 200,
             task: 8_000,
             least_task: 1_500,

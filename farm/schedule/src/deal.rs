@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::ops::{ControlFlow, Range};
 
-use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, Stage, TaskKey, Tick, Wait, Work, WorkerId};
+use femc_model::{Assignment, Digest, Epoch, JobId, Lane, More, Scope, Stage, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::Command;
 use crate::lease_table::{LeaseKey, Worker};
@@ -24,19 +24,29 @@ enum Pick {
 
 impl Scheduler {
     /// Leases ready tasks until the workers or the tasks run out: the workers with the fewest tasks first, so that
-    /// nobody fetches ahead what another could begin at once.
+    /// nobody fetches ahead what another could begin at once. Each lane has its own queues: what puts a finished frame
+    /// together never waits behind what renders others.
     pub(crate) fn deal(&mut self, now: Tick, out: &mut Vec<Command>) {
         if now < self.deals_from {
             return;
         }
+        // Frames are opened for what computes; the first stage of one may join.
+        for lane in [Lane::Join, Lane::Compute, Lane::Join] {
+            self.deal_lane(lane, now, out);
+        }
+    }
+
+    fn deal_lane(&mut self, lane: Lane, now: Tick, out: &mut Vec<Command>) {
         let mut next = (0, WorkerId(0));
-        while let Some(&(held, id)) = self.table.spare.range(next..).next() {
+        while self.has_ready(lane)
+            && let Some((held, id)) = self.table.next_spare(lane, next)
+        {
             next = (held, WorkerId(id.0 + 1));
             let Some(worker) = self.table.workers.get(&id) else { continue };
-            if held >= worker.capacity(&self.config) || !worker.is_fit(&self.config, now) {
+            if !worker.is_fit(&self.config, now) {
                 continue;
             }
-            match self.pick(id, now) {
+            match self.pick(id, lane, now) {
                 Pick::Task(task) => self.assign_next(id, task, now, out),
                 Pick::Begin(job, frame, key) => {
                     self.begin_shared(job, frame, key, id, now, out);
@@ -48,15 +58,25 @@ impl Scheduler {
         }
     }
 
-    /// The first ready task that the worker may take: jobs in their order of service, frames in order, later stages before
-    /// earlier ones.
-    fn pick(&mut self, id: WorkerId, now: Tick) -> Pick {
+    /// Whether there may be something to lease in a lane. Tasks that join are ready for moments only, and jobs that have none
+    /// are not searched for them.
+    fn has_ready(&self, lane: Lane) -> bool {
+        match lane {
+            Lane::Compute => true,
+            Lane::Join => !self.joinable.is_empty(),
+        }
+    }
+
+    /// The first ready task of a lane that the worker may take: jobs in their order of service, frames in order, later
+    /// stages before earlier ones.
+    fn pick(&mut self, id: WorkerId, lane: Lane, now: Tick) -> Pick {
         loop {
-            match self.pick_open(id, now) {
+            match self.pick_open(id, lane, now) {
                 ControlFlow::Break(pick) => return pick,
                 ControlFlow::Continue(job) => {
                     if let (Some(known), Some(ready_tasks)) = (self.ledger.jobs.get(&job), self.ready.get_mut(&job)) {
                         ready_tasks.open_next(known);
+                        self.note_joinable(job);
                     }
                 }
             }
@@ -64,31 +84,35 @@ impl Scheduler {
     }
 
     /// The same among what is open; or the job of which another frame is to be opened before one can tell.
-    fn pick_open(&self, id: WorkerId, now: Tick) -> ControlFlow<Pick, JobId> {
+    fn pick_open(&self, id: WorkerId, lane: Lane, now: Tick) -> ControlFlow<Pick, JobId> {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.table.workers.get(&id) else { return ControlFlow::Break(best) };
+        let has_shared = self.joinable.iter().any(|job| job.is_shared());
         for job_id in self.order.service() {
             let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&job_id), self.ready.get(&job_id)) else {
                 continue;
             };
+            if lane == Lane::Join && !has_shared && !self.joinable.contains(&job_id) {
+                continue;
+            }
             if !worker.has_tags(&job.spec.tags) || self.is_quarantined_for(job, ready_tasks, id, now) {
                 best = Pick::NotForThisWorker;
                 continue;
             }
-            match self.first_ready(job_id, id, now) {
+            match self.first_ready(job_id, id, lane, now) {
                 Pick::NotForThisWorker => best = Pick::NotForThisWorker,
                 Pick::NothingReady => {}
                 found => return ControlFlow::Break(found),
             }
-            if ready_tasks.has_unopened(job) && ready_tasks.may_open(id, &self.table) {
+            if lane == Lane::Compute && ready_tasks.has_unopened(job) && ready_tasks.may_open(id, &self.table) {
                 return ControlFlow::Continue(job_id);
             }
         }
         ControlFlow::Break(best)
     }
 
-    /// The first ready task of a job that the worker may take, or of what the job shares with others.
-    fn first_ready(&self, id: JobId, worker: WorkerId, now: Tick) -> Pick {
+    /// The first ready task of a job that the worker may take in a lane, or of what the job shares with others.
+    fn first_ready(&self, id: JobId, worker: WorkerId, lane: Lane, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
         let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&id), self.ready.get(&id)) else { return best };
         let Some(engine) = self.table.workers.get(&worker).map(|worker| &*worker.registration.engine) else {
@@ -104,11 +128,13 @@ impl Scheduler {
                     best = Pick::NotForThisWorker;
                     continue;
                 }
+                let is_in_lane = stage.kind.row().lane == lane;
                 match self.content(id, job, stage, engine) {
-                    Content::There => {}
+                    Content::There if is_in_lane => {}
                     Content::Missing(key) => return Pick::Begin(id, frame, key),
+                    // Tasks of this stage wait for a shared job, whose tasks may be in either lane.
                     Content::Underway(shared) => {
-                        if let Some(task) = self.ready_shared(shared, worker, now) {
+                        if let Some(task) = self.ready_shared(shared, worker, lane, now) {
                             return Pick::Task(task);
                         }
                         best = Pick::NotForThisWorker;
@@ -118,6 +144,7 @@ impl Scheduler {
                         best = Pick::NotForThisWorker;
                         continue;
                     }
+                    Content::There => continue,
                 }
                 let mut tasks = keys.iter().map(|index| TaskKey { job: id, stage: *stage, index });
                 if let Some(task) = tasks.find(|task| !self.is_avoided(task, job, ready_tasks, worker)) {
@@ -129,13 +156,14 @@ impl Scheduler {
         best
     }
 
-    /// The first ready task of what jobs share that the worker may take.
-    fn ready_shared(&self, id: JobId, worker: WorkerId, now: Tick) -> Option<TaskKey> {
+    /// The first ready task of what jobs share that the worker may take in a lane.
+    fn ready_shared(&self, id: JobId, worker: WorkerId, lane: Lane, now: Tick) -> Option<TaskKey> {
         let (job, ready_tasks) = (self.ledger.jobs.get(&id)?, self.ready.get(&id)?);
         if job.has_ended() || self.is_quarantined_for(job, ready_tasks, worker, now) {
             return None;
         }
-        let mut tasks = ready_tasks.open.ready().flat_map(|(_, open)| open.tasks(id));
+        let tasks = ready_tasks.open.ready().flat_map(|(_, open)| open.tasks(id));
+        let mut tasks = tasks.filter(|task| task.stage.kind.row().lane == lane);
         tasks.find(|task| self.may_take(task, job, ready_tasks, worker))
     }
 
@@ -176,6 +204,7 @@ impl Scheduler {
         if let Some(ready_tasks) = self.ready.get_mut(&task.job) {
             ready_tasks.take(task, run);
         }
+        self.note_joinable(task.job);
         let size = self.size(task, units);
         self.claim(task.job, size.milliseconds);
         self.table.lease(key, run, worker, size, &self.config, now);
@@ -234,10 +263,12 @@ impl Scheduler {
         if is_ready || ready_tasks.has_unopened(job) {
             let none: &[String] = &[];
             let stages = ready_tasks.open.ready().flat_map(|(_, open)| open.stages());
-            let tags: BTreeSet<&[String]> = stages.map(|(stage, _)| job.tags_of(stage.number)).collect();
-            let tags = if tags.is_empty() { BTreeSet::from([none]) } else { tags };
-            let mut missing: Vec<Wait> =
-                tags.into_iter().filter_map(|tags| self.why_no_worker(id, job, tags, ready_tasks, now)).collect();
+            let wants: BTreeSet<(&[String], Lane)> =
+                stages.map(|(stage, _)| (job.tags_of(stage.number), stage.kind.row().lane)).collect();
+            let wants = if wants.is_empty() { BTreeSet::from([(none, Lane::Compute)]) } else { wants };
+            let missing =
+                wants.into_iter().filter_map(|(tags, lane)| self.why_no_worker(id, job, tags, lane, ready_tasks, now));
+            let mut missing: Vec<Wait> = missing.collect();
             missing.dedup();
             waits.extend(missing);
             waits.extend(self.why_silent(job, now));
@@ -250,12 +281,13 @@ impl Scheduler {
         waits
     }
 
-    /// - `tags`: of the stage, beside the job's.
+    /// - `tags`, `lane`: of the stage; the tags are beside the job's.
     fn why_no_worker(
         &self,
         id: JobId,
         job: &Job,
         tags: &[String],
+        lane: Lane,
         ready_tasks: &ReadyTasks,
         now: Tick,
     ) -> Option<Wait> {
@@ -284,7 +316,7 @@ impl Scheduler {
             let rests = capable.iter().any(|worker| !worker.is_silent(&self.config, now));
             return rests.then_some(Wait::WorkersResting);
         }
-        if fit.iter().all(|worker| worker.held.len() >= worker.capacity(&self.config)) {
+        if !fit.iter().any(|worker| worker.has_room(lane, &self.config)) {
             let mut before = self.order.service().take_while(|&job| job != id);
             let holds = |other: &JobId| self.table.of_job(*other).next().is_some();
             return Some(match before.find(holds) {

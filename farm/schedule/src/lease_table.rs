@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
 
-use femc_model::{Epoch, Failure, Intake, JobId, Phase, Registration, Stage, TaskKey, TaskProgress, Tick, WorkerId};
+use femc_model::{
+    Epoch, Failure, Intake, JobId, Lane, Phase, Registration, Stage, TaskKey, TaskProgress, Tick, WorkerId,
+};
 
 use crate::Config;
 use crate::affinity::Locality;
@@ -16,8 +18,8 @@ pub(crate) type LeaseKey = (TaskKey, Epoch);
 #[derive(Debug, Clone)]
 pub(crate) struct Worker {
     pub(crate) registration: Registration,
-    /// Oldest first: that is the one that it works on.
-    pub(crate) held: VecDeque<(Epoch, TaskKey)>,
+    /// Its leases, oldest first: in each lane it works on the first of those that it has not finished.
+    pub(crate) held: VecDeque<Held>,
     /// Until then its time is charged, while it holds something.
     charged: Tick,
     /// Intake that the worker wants: `Open` or `Off`.
@@ -36,14 +38,61 @@ pub(crate) struct Worker {
     pub(crate) trouble: Option<Failure>,
     pub(crate) completed: u64,
     pub(crate) failed: u64,
-    /// Tasks that it may hold beyond `prefetch`, because they are short.
-    depth: usize,
     pub(crate) locality: Locality,
 }
 
+/// A lease in the hands of a worker.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Held {
+    pub(crate) epoch: Epoch,
+    pub(crate) task: TaskKey,
+    /// Milliseconds that the task is expected to take, by the pace of its own stage.
+    expected: u64,
+    /// The worker has computed it and sends its result.
+    is_uploading: bool,
+}
+
+impl Held {
+    fn place(&self) -> (Epoch, TaskKey) {
+        (self.epoch, self.task)
+    }
+}
+
 impl Worker {
-    pub(crate) fn capacity(&self, config: &Config) -> usize {
-        (self.registration.slots.max(1) + config.prefetch) as usize + self.depth
+    /// Leases that it holds in a lane.
+    fn held_in(&self, lane: Lane) -> impl Iterator<Item = &Held> {
+        self.held.iter().filter(move |held| held.task.stage.kind.row().lane == lane)
+    }
+
+    /// How many tasks count against its room in a lane: what joins has a queue of its own, beside all that computes.
+    fn load(&self, lane: Lane) -> usize {
+        match lane {
+            Lane::Compute => self.held.len(),
+            Lane::Join => self.held_in(lane).count(),
+        }
+    }
+
+    /// Whether it may be given one more task of this lane. What waits there is worth at most some seconds beyond what runs, by the
+    /// pace of the stages that the waiting tasks belong to.
+    pub(crate) fn has_room(&self, lane: Lane, config: &Config) -> bool {
+        let (slots, total) = (self.slots(), self.load(lane));
+        let (mut unfinished, mut waiting) = (0, 0_u64);
+        for held in self.held_in(lane) {
+            unfinished += usize::from(!held.is_uploading);
+            if held.is_uploading || unfinished > slots {
+                waiting = waiting.saturating_add(held.expected);
+            }
+        }
+        let shallow = slots + config.prefetch as usize;
+        if total < shallow {
+            unfinished <= slots || waiting <= config.queue
+        } else {
+            total < shallow + Config::DEEPEST && waiting < config.ahead
+        }
+    }
+
+    fn slots(&self) -> usize {
+        self.registration.slots.max(1) as usize
     }
 
     /// Its time until now, of which its oldest lease is this one, of this job.
@@ -141,8 +190,8 @@ pub(crate) struct LeaseTable {
     ends_from: Tick,
     /// How many workers there are of each build of the engine.
     builds: BTreeMap<String, usize>,
-    /// Workers that can hold more, those with the fewest tasks first.
-    pub(crate) spare: BTreeSet<(usize, WorkerId)>,
+    /// Workers that can hold more tasks of a lane, those with the fewest tasks of it first.
+    spare: [BTreeSet<(usize, WorkerId)>; Lane::ALL.len()],
 }
 
 impl LeaseTable {
@@ -166,12 +215,13 @@ impl LeaseTable {
             trouble: None,
             completed: 0,
             failed: 0,
-            depth: 0,
             locality: Locality::default(),
         };
         let before = self.workers.insert(worker, fresh);
         debug_assert!(before.is_none(), "a session that there is already");
-        self.spare.insert((0, worker));
+        for spare in &mut self.spare {
+            spare.insert((0, worker));
+        }
     }
 
     /// The builds of the engine of which there are workers.
@@ -187,13 +237,38 @@ impl LeaseTable {
     /// What a worker holds, oldest first.
     pub(crate) fn held(&self, worker: WorkerId) -> Vec<LeaseKey> {
         let held = self.workers.get(&worker).into_iter().flat_map(|known| &known.held);
-        held.map(|&(epoch, task)| (task, epoch)).collect()
+        held.map(|held| (held.task, held.epoch)).collect()
+    }
+
+    /// Workers that can hold more tasks of a lane, those with the fewest of it first; from this place on.
+    pub(crate) fn next_spare(&self, lane: Lane, from: (usize, WorkerId)) -> Option<(usize, WorkerId)> {
+        self.spare[lane as usize].range(from..).next().copied()
+    }
+
+    /// Takes a worker out of the workers with room, before what it holds changes.
+    fn close_room(&mut self, worker: WorkerId) {
+        let Some(holder) = self.workers.get(&worker) else { return };
+        for lane in Lane::ALL {
+            self.spare[lane as usize].remove(&(holder.load(lane), worker));
+        }
+    }
+
+    /// Notes a worker's room, after what it holds has changed.
+    fn open_room(&mut self, worker: WorkerId, config: &Config) {
+        let Some(holder) = self.workers.get(&worker) else { return };
+        for lane in Lane::ALL {
+            if holder.has_room(lane, config) {
+                self.spare[lane as usize].insert((holder.load(lane), worker));
+            }
+        }
     }
 
     /// Removes a worker that holds nothing any more.
     pub(crate) fn leave(&mut self, worker: WorkerId) {
         debug_assert!(self.workers.get(&worker).is_none_or(|known| known.held.is_empty()));
-        self.spare.remove(&(0, worker));
+        for spare in &mut self.spare {
+            spare.remove(&(0, worker));
+        }
         let Some(known) = self.workers.remove(&worker) else { return };
         if let Some(count) = self.builds.get_mut(&known.registration.engine) {
             *count -= 1;
@@ -206,7 +281,7 @@ impl LeaseTable {
     /// The time for which a worker has held something and that is not charged yet.
     pub(crate) fn bill(&mut self, worker: WorkerId, now: Tick) -> Option<Bill> {
         let holder = self.workers.get_mut(&worker)?;
-        let &(epoch, task) = holder.held.front()?;
+        let &Held { epoch, task, .. } = holder.held.front()?;
         let lease = self.leases.get_mut(&(task, epoch))?;
         Some(holder.bill(task.job, lease, now))
     }
@@ -239,51 +314,39 @@ impl LeaseTable {
 
     fn put(&mut self, key: LeaseKey, lease: Lease, config: &Config, now: Tick) {
         let worker = lease.worker;
+        let held = Held { epoch: key.1, task: key.0, expected: lease.size.milliseconds, is_uploading: false };
         self.ends_from = self.ends_from.min(lease.deadline);
         self.leases.insert(key, lease);
+        self.close_room(worker);
         if let Some(holder) = self.workers.get_mut(&worker) {
-            self.spare.remove(&(holder.held.len(), worker));
             if holder.held.is_empty() {
                 holder.charged = now;
             }
-            let newer = holder.held.partition_point(|held| *held < (key.1, key.0));
-            holder.held.insert(newer, (key.1, key.0));
+            let newer = holder.held.partition_point(|other| other.place() < held.place());
+            holder.held.insert(newer, held);
             holder.locality.note(&key.0);
-            if holder.held.len() < holder.capacity(config) {
-                self.spare.insert((holder.held.len(), worker));
-            }
         }
-    }
-
-    /// The worker's tasks take so many milliseconds.
-    pub(crate) fn pace(&mut self, worker: WorkerId, milliseconds: u64, config: &Config) {
-        let Some(holder) = self.workers.get_mut(&worker) else { return };
-        holder.depth = config.depth(milliseconds);
-        let place = (holder.held.len(), worker);
-        if place.0 < holder.capacity(config) {
-            self.spare.insert(place);
-        } else {
-            self.spare.remove(&place);
-        }
+        self.open_room(worker, config);
     }
 
     /// Takes a lease out; returns also what is to be charged for the time of its worker until now.
-    pub(crate) fn release(&mut self, key: &LeaseKey, now: Tick) -> Option<(Lease, Option<Bill>)> {
+    pub(crate) fn release(&mut self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(Lease, Option<Bill>)> {
         let mut lease = self.leases.remove(key)?;
         self.copies.remove(key);
-        let Some(holder) = self.workers.get_mut(&lease.worker) else { return Some((lease, None)) };
+        let worker = lease.worker;
+        self.close_room(worker);
+        let Some(holder) = self.workers.get_mut(&worker) else { return Some((lease, None)) };
         let bill = match holder.held.front() {
-            Some(&(epoch, task)) if (task, epoch) == *key => Some(holder.bill(task.job, &mut lease, now)),
-            Some(&(epoch, task)) => {
+            Some(&Held { epoch, task, .. }) if (task, epoch) == *key => Some(holder.bill(task.job, &mut lease, now)),
+            Some(&Held { epoch, task, .. }) => {
                 self.leases.get_mut(&(task, epoch)).map(|oldest| holder.bill(task.job, oldest, now))
             }
             None => None,
         };
-        if let Ok(place) = holder.held.binary_search(&(key.1, key.0)) {
-            self.spare.remove(&(holder.held.len(), lease.worker));
+        if let Ok(place) = holder.held.binary_search_by_key(&(key.1, key.0), Held::place) {
             holder.held.remove(place);
-            self.spare.insert((holder.held.len(), lease.worker));
         }
+        self.open_room(worker, config);
         Some((lease, bill))
     }
 
@@ -291,7 +354,7 @@ impl LeaseTable {
     /// worker has used is charged before.
     pub(crate) fn hand_over(&mut self, key: &LeaseKey, worker: WorkerId, config: &Config, now: Tick) -> bool {
         let is_copy = self.copies.contains(key);
-        let Some((lease, _)) = self.release(key, now) else { return false };
+        let Some((lease, _)) = self.release(key, config, now) else { return false };
         let (deadline, phase) = (now.after(config.lease), Phase::Waiting);
         let lease = Lease { worker, deadline, moved: now, phase, began: None, done: 0, ..lease };
         self.put(*key, lease, config, now);
@@ -311,9 +374,9 @@ impl LeaseTable {
         self.leases.of_task(task)
     }
 
-    /// Workers that have nothing to do.
-    pub(crate) fn idle(&self) -> impl Iterator<Item = WorkerId> + '_ {
-        self.spare.range((0, WorkerId(0))..(1, WorkerId(0))).map(|&(_, worker)| worker)
+    /// Workers that have nothing to do in a lane.
+    pub(crate) fn idle(&self, lane: Lane) -> impl Iterator<Item = WorkerId> + '_ {
+        self.spare[lane as usize].range((0, WorkerId(0))..(1, WorkerId(0))).map(|&(_, worker)| worker)
     }
 
     /// Renews the leases that a heartbeat lists, unless they stand still; returns those that are over.
@@ -326,13 +389,16 @@ impl LeaseTable {
     ) -> Vec<LeaseKey> {
         let Some(holder) = self.workers.get_mut(&worker) else { return Vec::new() };
         let before = std::mem::replace(&mut holder.seen, now);
-        let mut over = Vec::new();
+        let (mut over, mut finished) = (Vec::new(), Vec::new());
         for progress in tasks {
             let key = (progress.task, progress.epoch);
             let Some(lease) = self.leases.get_mut(&key).filter(|lease| lease.worker == worker) else {
                 over.push(key);
                 continue;
             };
+            if progress.phase == Phase::Uploading && lease.phase != Phase::Uploading {
+                finished.push(key);
+            }
             if progress.phase == Phase::Working {
                 lease.began.get_or_insert(before.max(lease.granted));
             }
@@ -350,7 +416,18 @@ impl LeaseTable {
                 lease.deadline = now.after(config.lease);
             }
         }
+        finished.iter().for_each(|key| self.note_uploading(worker, key, config));
         over
+    }
+
+    /// The worker has computed a task and sends its result: it has room for another.
+    fn note_uploading(&mut self, worker: WorkerId, key: &LeaseKey, config: &Config) {
+        if let Some(holder) = self.workers.get_mut(&worker)
+            && let Ok(place) = holder.held.binary_search_by_key(&(key.1, key.0), Held::place)
+        {
+            holder.held[place].is_uploading = true;
+        }
+        self.open_room(worker, config);
     }
 
     /// Of a lease that ran out because nothing moved, although its worker is there: that worker, and for how many seconds. One

@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{JobId, Near, Stage, TaskKey};
+use femc_model::{JobId, Lane, Near, Stage, TaskKey};
 
 use crate::RangeSet;
 use crate::ledger::{Place, Shape};
@@ -65,6 +65,11 @@ impl OpenUnit {
     fn has_some(&self) -> bool {
         !self.stages.is_empty()
     }
+
+    /// Whether tasks that join can be leased.
+    fn can_join(&self) -> bool {
+        self.stages().any(|(stage, _)| stage.kind.row().lane == Lane::Join)
+    }
 }
 
 /// Open frames by their number. A farm of a thousand workers has as many open whose tasks are all out: who looks for a task
@@ -73,6 +78,8 @@ impl OpenUnit {
 pub(crate) struct OpenUnits {
     all: BTreeMap<u32, OpenUnit>,
     ready: BTreeSet<u32>,
+    /// Those with ready tasks that join.
+    joinable: BTreeSet<u32>,
 }
 
 impl OpenUnits {
@@ -95,33 +102,42 @@ impl OpenUnits {
         self.ready.iter().filter_map(|&frame| Some((frame, self.all.get(&frame)?)))
     }
 
+    /// Whether tasks that join can be leased.
+    pub(crate) fn can_join(&self) -> bool {
+        !self.joinable.is_empty()
+    }
+
     /// Opens a frame, or puts it right.
     pub(crate) fn put(&mut self, frame: u32, open: OpenUnit) {
-        self.note(frame, open.has_some());
+        self.note(frame, (open.has_some(), open.can_join()));
         self.all.insert(frame, open);
     }
 
     pub(crate) fn remove(&mut self, frame: u32) {
         self.ready.remove(&frame);
+        self.joinable.remove(&frame);
         self.all.remove(&frame);
     }
 
     /// Changes a frame, if it is open.
     pub(crate) fn change(&mut self, frame: u32, change: impl FnOnce(&mut OpenUnit)) {
         let Some(open) = self.all.get_mut(&frame) else { return };
-        let had_some = open.has_some();
+        let before = (open.has_some(), open.can_join());
         change(open);
-        let has_some = open.has_some();
-        if has_some != had_some {
-            self.note(frame, has_some);
+        let after = (open.has_some(), open.can_join());
+        if after != before {
+            self.note(frame, after);
         }
     }
 
-    fn note(&mut self, frame: u32, is_ready: bool) {
-        if is_ready {
-            self.ready.insert(frame);
-        } else {
-            self.ready.remove(&frame);
+    /// - `is_ready`, `can_join`: of the frame.
+    fn note(&mut self, frame: u32, (is_ready, can_join): (bool, bool)) {
+        for (frames, is_in) in [(&mut self.ready, is_ready), (&mut self.joinable, can_join)] {
+            if is_in {
+                frames.insert(frame);
+            } else {
+                frames.remove(&frame);
+            }
         }
     }
 }

@@ -42,9 +42,7 @@ impl Scheduler {
         }
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
         let taken = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
-        if let Some(typical) = self.learn(&task, size, taken) {
-            self.table.pace(worker, typical, &self.config);
-        }
+        self.learn(&task, size, taken);
         if let Some(worker) = self.table.workers.get_mut(&worker) {
             worker.completed += 1;
             worker.mishaps = 0;

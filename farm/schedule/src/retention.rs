@@ -24,6 +24,7 @@ impl Scheduler {
             self.revoke_all(job, out);
             self.record(Fact::Forgotten { job }, now, out);
             self.ready.remove(&job);
+            self.joinable.remove(&job);
             self.order.remove(job);
             out.push(Command::Changed(job));
         }

@@ -29,6 +29,8 @@ pub struct Scheduler {
     pub(crate) ready: BTreeMap<JobId, ReadyTasks>,
     /// Jobs whose tasks may be leased.
     pub(crate) order: Order,
+    /// Jobs with ready tasks that join.
+    pub(crate) joinable: BTreeSet<JobId>,
     /// Leases granted in this incarnation.
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
@@ -62,6 +64,7 @@ impl Scheduler {
             table: LeaseTable::default(),
             ready: BTreeMap::new(),
             order: Order::new(ledger.side.used()),
+            joinable: BTreeSet::new(),
             leases: 0,
             stale_messages: 0,
             logs: Shelf::default(),
@@ -345,8 +348,18 @@ impl Scheduler {
         self.reorder(id);
     }
 
+    /// Notes whether a job has ready tasks that join, after what is ready has changed.
+    pub(crate) fn note_joinable(&mut self, id: JobId) {
+        if self.ready.get(&id).is_some_and(|ready_tasks| ready_tasks.open.can_join()) {
+            self.joinable.insert(id);
+        } else {
+            self.joinable.remove(&id);
+        }
+    }
+
     /// Puts the job into the order of service, or out of it.
     pub(crate) fn reorder(&mut self, id: JobId) {
+        self.note_joinable(id);
         let Some(job) = self.ledger.jobs.get(&id) else { return };
         if job.is_runnable() && job.shared.is_none() {
             self.order.insert(id, job.spec.priority, &job.spec.owner);

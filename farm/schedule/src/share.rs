@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use femc_model::{Grains, Scope, Stage, TaskKey};
+use femc_model::{Grains, TaskKey};
 
 use crate::lease_table::Size;
 use crate::ledger::Job;
@@ -52,22 +52,11 @@ impl Scheduler {
         job.and_then(|job| job.grains(&task.stage)).map_or(1, |grains| grains.units(run))
     }
 
-    /// Learns from a task that has taken `milliseconds`. Returns how long the tasks of a frame take on the average, if they are not
-    /// cut further; `None` while none of its main stage is done.
-    pub(crate) fn learn(&mut self, task: &TaskKey, size: Size, milliseconds: u64) -> Option<u64> {
-        let job = self.ledger.jobs.get(&task.job)?;
-        let pace = &mut self.ready.get_mut(&task.job)?.pace;
-        pace.note(task.stage.number, size.units, milliseconds);
-        let (main, template) = job.spec.graph.main()?;
-        let largest = |number: u16| job.grains(&Stage { number, ..task.stage }).map_or(1, |grains| grains.of_largest());
-        let one = pace.expected(main, largest(main))?;
-        let others = job.spec.graph.of(Scope::Frame).filter(|(number, it)| *number != main && it.tasks() == 1);
-        let rest = others.fold((0, 0), |(sum, count), (number, it)| {
-            (pace.expected(number, it.sizes.greatest()).unwrap_or(one).saturating_add(sum), count + 1)
-        });
-        Some(
-            one.saturating_mul(template.tasks().into()).saturating_add(rest.0) / (u64::from(template.tasks()) + rest.1),
-        )
+    /// Learns the pace of a stage from one of its tasks, which has taken `milliseconds`.
+    pub(crate) fn learn(&mut self, task: &TaskKey, size: Size, milliseconds: u64) {
+        if let Some(ready_tasks) = self.ready.get_mut(&task.job) {
+            ready_tasks.pace.note(task.stage.number, size.units, milliseconds);
+        }
     }
 }
 

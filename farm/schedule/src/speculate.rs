@@ -2,7 +2,7 @@
 //! first counts; the other is revoked at once, and its result changes nothing. Costs work that is thrown away, by workers that
 //! would stand still; a task is given out twice at most.
 
-use femc_model::{TaskKey, Tick, WorkerId};
+use femc_model::{Lane, TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::lease_table::{Lease, LeaseKey};
@@ -19,9 +19,16 @@ impl Scheduler {
         if now < self.deals_from {
             return;
         }
+        for lane in Lane::ALL {
+            self.speculate_in(lane, now, out);
+        }
+    }
+
+    fn speculate_in(&mut self, lane: Lane, now: Tick, out: &mut Vec<Command>) {
         let is_fit = |id: &WorkerId| self.table.workers.get(id).is_some_and(|known| known.is_fit(&self.config, now));
-        let idle: Vec<WorkerId> = self.table.idle().filter(is_fit).collect();
+        let idle: Vec<WorkerId> = self.table.idle(lane).filter(is_fit).collect();
         let mut late = if idle.is_empty() { Vec::new() } else { self.late(now) };
+        late.retain(|(task, _)| task.stage.kind.row().lane == lane);
         for worker in idle {
             let Some(place) = late.iter().position(|key| self.may_copy(key, worker, now)) else { continue };
             let (task, epoch) = late.remove(place);

@@ -103,7 +103,7 @@ impl Scheduler {
             name: known.registration.name.clone(),
             threads: known.registration.threads,
             tags: known.registration.tags.clone(),
-            tasks: sorted(known.held.iter().map(|(_, task)| *task)),
+            tasks: sorted(known.held.iter().map(|held| held.task)),
             silent: now.since(known.seen),
             completed: known.completed,
             failed: known.failed,

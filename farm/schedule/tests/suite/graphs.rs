@@ -70,7 +70,7 @@ fn stages_of_the_job_take_no_frames_place() {
     while farm.tasks_of(2) != [(3, 0, Render, 0)] {
         work(&mut farm, 2);
     }
-    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0)]);
+    assert_eq!(farm.tasks_of(1)[0], (1, 0, Render, 0));
     farm.restart();
     farm.join(3);
     farm.join(4);

@@ -45,7 +45,7 @@ pub fn of(frames: &[u32], tiles: u32, graph: Graph) -> JobSpec {
 
 /// Workers hold one task beyond the one that they run.
 pub fn config() -> Config {
-    Config { lease: 5_000, prefetch: 1, ahead: 0, regroup: 0, ..Config::default() }
+    Config { lease: 5_000, prefetch: 1, queue: u64::MAX, ahead: 0, regroup: 0, ..Config::default() }
 }
 
 /// Scheduler, time, and everything that was made durable.

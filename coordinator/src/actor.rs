@@ -415,8 +415,8 @@ impl<Q: Queue> Actor<Q> {
     fn renew(&mut self) {
         let now = self.clock.now();
         for (worker, heartbeat) in std::mem::take(&mut self.heartbeats) {
-            let leases = self.scheduler.leases(worker, now);
-            self.tell(worker, ToWorker::Renewed { heartbeat, leases });
+            let (leases, intake) = (self.scheduler.leases(worker, now), self.scheduler.intake(worker));
+            self.tell(worker, ToWorker::Renewed { heartbeat, leases, intake });
         }
     }
 

@@ -91,7 +91,8 @@ impl<Q: Queue> Actor<Q> {
             && let FromWorker::Heartbeat { number, usage, .. } = &**said
         {
             let leases = self.scheduler.leases(worker, self.clock.now());
-            self.tell(worker, ToWorker::Renewed { heartbeat: *number, leases });
+            let intake = self.scheduler.intake(worker);
+            self.tell(worker, ToWorker::Renewed { heartbeat: *number, leases, intake });
             if usage.is_empty() {
                 return;
             }

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass_async};
 use femc_model::{
-    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Near, Phase, Registration, TaskKey, TaskLog, TaskResult,
+    Epoch, Failure, FromWorker, Intake, JobId, JobSpec, Latest, Near, Phase, Registration, TaskKey, TaskLog, TaskResult,
     TaskUsage, ToWorker, Usage,
 };
 use femc_proto::{CallError, Client, Incoming, Outgoing, Why};
@@ -228,8 +228,11 @@ impl<'a> Session<'a> {
                 // Without its thread the worker is ending.
                 ahead.into_iter().for_each(|ahead| drop(self.ahead.send(ahead)));
             }
-            ToWorker::Renewed { heartbeat, leases } => {
+            ToWorker::Renewed { heartbeat, leases, intake } => {
                 self.claims.renewed(heartbeat, &leases);
+                if intake == Intake::Drained {
+                    give_back(self.table.clear_line(), out).await;
+                }
                 // Results that an earlier session did not get rid of, and those that could not be sent.
                 leases.iter().for_each(|lease| self.send((lease.task, lease.epoch)));
             }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, Usage, WorkerId,
+    Assignment, Digest, Epoch, Failure, Intake, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, Usage, WorkerId,
 };
 
 /// How a worker introduces itself.
@@ -180,6 +180,8 @@ pub enum ToWorker {
         heartbeat: u64,
         /// All leases of this session, with the time left when this was said.
         leases: Vec<LeaseLeft>,
+        /// Intake that the coordinator grants: a worker that is drained gives back what it has not begun.
+        intake: Intake,
     },
     /// What a job is; comes before the first assignment of it.
     Job {

@@ -7,8 +7,10 @@ use crate::{Failure, FrameProgress, FrameRecord, TaskKey};
 /// State of a task or a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum TaskState {
-    /// Nobody does it.
+    /// No worker has it.
     Waiting,
+    /// A worker has it in its queue and has not begun it; no frame is in this state.
+    Queued,
     /// A worker does it, or some of it; of a frame, something of it is done.
     Running,
     /// It is done.
@@ -19,12 +21,13 @@ pub enum TaskState {
 
 impl TaskState {
     /// All, in the order in which they are come to.
-    pub const ALL: [Self; 4] = [Self::Waiting, Self::Running, Self::Done, Self::Failed];
+    pub const ALL: [Self; 5] = [Self::Waiting, Self::Queued, Self::Running, Self::Done, Self::Failed];
 
     /// Name, one word.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
+            Self::Queued => "queued",
             Self::Running => "running",
             Self::Done => "done",
             Self::Failed => "failed",
@@ -39,11 +42,11 @@ pub struct TaskStatus {
     pub task: TaskKey,
     /// State of it.
     pub state: TaskState,
-    /// Names of the workers that do it now, or parts of it.
+    /// Names of the workers that have it, or parts of it: those that run it, or where it is queued.
     pub workers: Vec<String>,
-    /// Attempts that failed since it was last done or retried, and those that run.
+    /// Attempts that failed since it was last done or retried, and those that run or are queued.
     pub attempts: u32,
-    /// Seconds since the first of its leases was granted, while it runs.
+    /// Seconds since the first of its leases was granted, while it runs or is queued.
     pub seconds: Option<f64>,
     /// Why the last attempt failed.
     pub failure: Option<Failure>,

@@ -14,9 +14,10 @@ pub struct Config {
     pub stall: u64,
     /// The same while a scene is prepared, which shows no progress.
     pub preparation_stall: u64,
-    /// First rest of a worker after a failure of its surroundings; it doubles from failure to failure.
+    /// First rest of a worker after a failure of its surroundings; it doubles from failure to failure. Also the first pause of a
+    /// worker that is quarantined for a job while no other can take the job's tasks.
     pub rest: u64,
-    /// Longest such rest.
+    /// Longest such rest or pause.
     pub longest_rest: u64,
     /// After a restart with unfinished jobs nothing is dealt for so long: workers that have lived on come back with what they
     /// still work on, and that shall not be given to others.

@@ -364,8 +364,7 @@ impl Scheduler {
     /// Workers that the job does without for now.
     fn why_quarantined(&self, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
         let quarantined = |(&id, worker): (&WorkerId, &Worker)| {
-            let left = ready_tasks.quarantine.quarantines(worker.registration.instance, now)?;
-            (worker.has_tags(&job.spec.tags) && self.is_quarantined_for(job, ready_tasks, id, now)).then_some(left)
+            self.quarantine_left(job, ready_tasks, id, now).filter(|_| worker.has_tags(&job.spec.tags))
         };
         let left: Vec<u64> = self.table.workers.iter().filter_map(quarantined).collect();
         let seconds = left.iter().min()?.div_ceil(1000);
@@ -404,12 +403,18 @@ impl Scheduler {
         })
     }
 
-    /// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
+    /// Whether the job's tasks keep failing on this worker, which gets none of them for a while.
     pub(crate) fn is_quarantined_for(&self, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId, now: Tick) -> bool {
+        self.quarantine_left(job, ready_tasks, worker, now).is_some()
+    }
+
+    /// For how many more milliseconds the worker gets no tasks of the job, because these keep failing on it: for long where another
+    /// that is trusted could take them, and else for about as long as it has failed so far; `None`: it gets tasks.
+    fn quarantine_left(&self, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId, now: Tick) -> Option<u64> {
         let quarantine = &ready_tasks.quarantine;
-        let quarantines =
-            |id| self.table.instance(id).is_some_and(|instance| quarantine.quarantines(instance, now).is_some());
-        quarantines(worker) && self.has_peer(job, &[], worker, |other| !quarantines(other))
+        let left = |id| quarantine.quarantines(self.table.instance(id)?, now);
+        let with_peer = left(worker).filter(|_| self.has_peer(job, &[], worker, |other| left(other).is_none()));
+        with_peer.or_else(|| quarantine.quarantines_alone(self.table.instance(worker)?, now))
     }
 
     /// Whether the worker has what the task's stage asks for, and is not to be spared the task.

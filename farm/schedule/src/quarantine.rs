@@ -13,12 +13,20 @@ pub(crate) type Instance = u64;
 struct Record {
     /// Different tasks that failed there, none done in between.
     tasks: BTreeSet<TaskKey>,
-    /// Quarantined until then, once there were too many.
+    /// Quarantined until then, once there were too many, while another worker may do the job's tasks.
     until: Option<Tick>,
+    /// The same while there is no other worker: a sick machine alone must not fail all tasks of a job within seconds.
+    alone_until: Tick,
     /// How often it was quarantined in a row.
     times: u32,
     /// The task that is to prove it well again.
     probe: Option<TaskKey>,
+}
+
+impl Record {
+    fn left(&self, until: Tick, now: Tick) -> Option<u64> {
+        if now < until { Some(until.since(now)) } else { self.probe.map(|_| 0) }
+    }
 }
 
 /// What one job has seen of its workers. Forgotten at a restart.
@@ -37,8 +45,9 @@ impl WorkerQuarantine {
         record.tasks.insert(task);
         let has_failed_its_probe = record.probe.take().is_some();
         if has_failed_its_probe || (record.until.is_none() && record.tasks.len() >= Self::TASKS) {
-            let pause = config.quarantine.saturating_mul(1 << record.times.min(20)).min(config.longest_quarantine);
-            record.until = Some(now.after(pause));
+            let pause = |first: u64, longest: u64| first.saturating_mul(1 << record.times.min(20)).min(longest);
+            record.until = Some(now.after(pause(config.quarantine, config.longest_quarantine)));
+            record.alone_until = now.after(pause(config.rest, config.longest_rest));
             record.times += 1;
         }
     }
@@ -67,10 +76,17 @@ impl WorkerQuarantine {
         self.records.get(&worker).is_some_and(|record| record.until.is_some())
     }
 
-    /// For how many more milliseconds the worker is quarantined; 0 while its one task of proof is under way; `None`: it is not.
+    /// For how many more milliseconds the worker is quarantined while another may do the job's tasks; 0 while its probe runs;
+    /// `None`: it is not.
     pub(crate) fn quarantines(&self, worker: Instance, now: Tick) -> Option<u64> {
         let record = self.records.get(&worker)?;
-        let until = record.until?;
-        if now < until { Some(until.since(now)) } else { record.probe.map(|_| 0) }
+        record.left(record.until?, now)
+    }
+
+    /// The same while there is no other.
+    pub(crate) fn quarantines_alone(&self, worker: Instance, now: Tick) -> Option<u64> {
+        let record = self.records.get(&worker)?;
+        record.until?;
+        record.left(record.alone_until, now)
     }
 }

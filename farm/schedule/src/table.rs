@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use femc_model::{
-    FrameProgress, FrameStatus, JobId, Refusal, Stage, TaskFilter, TaskKey, TaskPage, TaskState, TaskStatus, Tick,
+    FrameProgress, FrameStatus, JobId, Phase, Refusal, Stage, TaskFilter, TaskKey, TaskPage, TaskState, TaskStatus,
+    Tick,
 };
 
 use crate::ledger::{Job, Place};
@@ -108,7 +109,8 @@ impl Scheduler {
         for ((task, _), lease) in self.table.of_frame(id, frame).filter(|((task, _), _)| task.stage == stage) {
             let Some(known) = all.get_mut(grains.task(task.index) as usize).filter(|it| is_open(it)) else { continue };
             let seconds = now.since(lease.granted) as f64 / 1000.0;
-            known.state = TaskState::Running;
+            let is_queued = lease.phase == Phase::Waiting && known.state != TaskState::Running;
+            known.state = if is_queued { TaskState::Queued } else { TaskState::Running };
             known.attempts += 1;
             known.seconds = Some(known.seconds.map_or(seconds, |longest| longest.max(seconds)));
             let name = self.table.workers.get(&lease.worker).map(|worker| worker.registration.name.clone());

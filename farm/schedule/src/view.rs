@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use femc_model::{
-    Digest, FrameParts, FrameProgress, FrameRecord, JobId, JobState, JobStatus, LeaseLeft, Quarantined, Refusal, Stage,
-    StageKind, TaskKey, Tick, WorkerId, WorkerStatus,
+    Digest, FrameParts, FrameProgress, FrameRecord, Intake, JobId, JobState, JobStatus, LeaseLeft, Quarantined,
+    Refusal, Stage, StageKind, TaskKey, Tick, WorkerId, WorkerStatus,
 };
 
 use crate::lease_table::LeaseKey;
@@ -120,6 +120,11 @@ impl Scheduler {
             Some(LeaseLeft { task: key.0, epoch: key.1, left: lease.deadline.since(now) })
         };
         self.table.held(worker).into_iter().filter_map(lease).collect()
+    }
+
+    /// Intake that is granted to a worker.
+    pub fn intake(&self, worker: WorkerId) -> Intake {
+        self.table.workers.get(&worker).map_or(Intake::Open, |known| known.intake)
     }
 
     /// Whether nothing is done of a job any more, as far as one knows now; nor of one that is not there.

@@ -1,10 +1,11 @@
 //! The messages of a worker's session.
 
 use femc_model::{
-    Death, FromWorker, HeldLease, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker,
+    Death, FromWorker, HeldLease, Intake, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker,
     WorkerId,
 };
 
+use super::status::intake_of;
 use super::task::{from_lease, from_range, to_lease, to_range};
 use super::{ConvertError, digest, digest_bytes, each, maybe, need};
 use crate::{OLDEST, PROTOCOL, wire};
@@ -68,8 +69,9 @@ impl From<ToWorker> for wire::ToWorker {
             ToWorker::Welcome { worker, heartbeat, lease } => {
                 Message::Welcome(wire::Welcome { worker: worker.0, heartbeat, lease })
             }
-            ToWorker::Renewed { heartbeat, leases } => {
-                Message::Renewed(wire::Renewed { heartbeat, leases: leases.into_iter().map(Into::into).collect() })
+            ToWorker::Renewed { heartbeat, leases, intake } => {
+                let leases = leases.into_iter().map(Into::into).collect();
+                Message::Renewed(wire::Renewed { heartbeat, leases, intake: wire::Intake::from(intake).into() })
             }
             ToWorker::Job { job, spec } => Message::Job(wire::Job { job: job.0, spec: Some((*spec).into()) }),
             ToWorker::Assign(assignment) => Message::Assign(assignment.into()),
@@ -103,7 +105,11 @@ impl TryFrom<wire::ToWorker> for ToWorker {
             Message::Welcome(wire::Welcome { worker, heartbeat, lease }) => {
                 Self::Welcome { worker: WorkerId(worker), heartbeat, lease }
             }
-            Message::Renewed(wire::Renewed { heartbeat, leases }) => Self::Renewed { heartbeat, leases: each(leases)? },
+            Message::Renewed(wire::Renewed { heartbeat, leases, intake }) => {
+                // Older coordinators do not say it.
+                let intake = if intake == 0 { Intake::Open } else { intake_of("renewed.intake", intake)? };
+                Self::Renewed { heartbeat, leases: each(leases)?, intake }
+            }
             Message::Job(job) => {
                 Self::Job { job: JobId(job.job), spec: Box::new(need("job.spec", job.spec)?.try_into()?) }
             }

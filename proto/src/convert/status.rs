@@ -207,16 +207,32 @@ impl TryFrom<wire::Wait> for Wait {
     }
 }
 
+impl From<Intake> for wire::Intake {
+    fn from(intake: Intake) -> Self {
+        match intake {
+            Intake::Open => Self::Open,
+            Intake::Off => Self::Off,
+            Intake::Drained => Self::Drained,
+        }
+    }
+}
+
+/// - `field`: name of the field, for the error.
+pub(super) fn intake_of(field: &'static str, value: i32) -> Result<Intake, ConvertError> {
+    let unknown = ConvertError::Unknown { field, value };
+    match wire::Intake::try_from(value).map_err(|_| unknown.clone())? {
+        wire::Intake::Unspecified => Err(unknown),
+        wire::Intake::Open => Ok(Intake::Open),
+        wire::Intake::Off => Ok(Intake::Off),
+        wire::Intake::Drained => Ok(Intake::Drained),
+    }
+}
+
 impl From<WorkerStatus> for wire::WorkerStatus {
     fn from(status: WorkerStatus) -> Self {
         let WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine } = status;
         let tasks = tasks.into_iter().map(Into::into).collect();
-        let intake = match intake {
-            Intake::Open => wire::Intake::Open,
-            Intake::Off => wire::Intake::Off,
-            Intake::Drained => wire::Intake::Drained,
-        };
-        let intake = intake.into();
+        let intake = wire::Intake::from(intake).into();
         Self { worker: worker.0, name, threads, tags, tasks, silent, completed, failed, intake, engine }
     }
 }
@@ -226,13 +242,7 @@ impl TryFrom<wire::WorkerStatus> for WorkerStatus {
 
     fn try_from(wire: wire::WorkerStatus) -> Result<Self, ConvertError> {
         let wire::WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine } = wire;
-        let unknown = ConvertError::Unknown { field: "worker.intake", value: intake };
-        let intake = match wire::Intake::try_from(intake).map_err(|_| unknown.clone())? {
-            wire::Intake::Unspecified => return Err(unknown),
-            wire::Intake::Open => Intake::Open,
-            wire::Intake::Off => Intake::Off,
-            wire::Intake::Drained => Intake::Drained,
-        };
+        let intake = intake_of("worker.intake", intake)?;
         let (worker, tasks) = (WorkerId(worker), each(tasks)?);
         Ok(Self { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine })
     }

@@ -211,7 +211,13 @@ fn the_words_of_a_session_cross_the_wire() {
     }
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500, lease: 5000 });
     let leases = vec![LeaseLeft { task: render, epoch, left: 4321 }];
-    crosses::<ToWorker, wire::ToWorker>(ToWorker::Renewed { heartbeat: 3, leases });
+    for intake in [Intake::Open, Intake::Off, Intake::Drained] {
+        crosses::<ToWorker, wire::ToWorker>(ToWorker::Renewed { heartbeat: 3, leases: leases.clone(), intake });
+    }
+    let older = wire::Renewed { heartbeat: 3, leases: vec![], intake: 0 };
+    let older = wire::ToWorker { message: Some(wire::to_worker::Message::Renewed(older)) };
+    let heard = ToWorker::Renewed { heartbeat: 3, leases: vec![], intake: Intake::Open };
+    assert_eq!(ToWorker::try_from(older), Ok(heard), "a coordinator that does not say it");
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Job { job: JobId(7), spec: Box::new(spec()) });
     for reason in [RevokeReason::Expired, RevokeReason::JobEnded, RevokeReason::Done] {
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Revoke { task: render, epoch, reason });

@@ -1550,6 +1550,10 @@ pub struct Renewed {
     /// All leases of the session that hold.
     #[prost(message, repeated, tag = "2")]
     pub leases: ::prost::alloc::vec::Vec<LeaseLeft>,
+    /// Tasks that the coordinator grants to the worker: one that is drained gives back, as cancelled, what it has not begun.
+    /// Unspecified, by older coordinators: open.
+    #[prost(enumeration = "Intake", tag = "3")]
+    pub intake: i32,
 }
 /// A lease that holds, and for how long.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

@@ -14,6 +14,7 @@ mod hints;
 mod identity;
 mod images;
 mod machine;
+mod queues;
 mod quota;
 mod retries;
 mod sentences;

@@ -23,7 +23,7 @@ fn frames(farm: &Farm, id: JobId) -> Vec<TaskState> {
 
 #[test]
 fn tasks_wait_run_and_are_done_and_so_are_their_frames() {
-    use TaskState::{Done as Finished, Running, Waiting};
+    use TaskState::{Done as Finished, Queued, Running, Waiting};
     let mut farm = Farm::new();
     // Two tiles and an image of each frame.
     let id = farm.submit(job(&[1, 2], 2, &[4]));
@@ -31,9 +31,12 @@ fn tasks_wait_run_and_are_done_and_so_are_their_frames() {
     farm.join(1);
     let held = farm.tasks_of(1).len();
     farm.wait(700);
-    let now = page(&farm, id, TaskFilter { state: Some(Running), ..TaskFilter::default() }, 0, 1000);
-    assert_eq!((now.total, now.tasks.len()), (held as u64, held));
-    assert!(now.tasks.iter().all(|task| task.workers == ["w"] && task.attempts == 1 && task.seconds == Some(0.7)));
+    for state in [Queued, Running] {
+        let now = page(&farm, id, TaskFilter { state: Some(state), ..TaskFilter::default() }, 0, 1000);
+        assert_eq!((now.total, now.tasks.len()), (held as u64, held));
+        assert!(now.tasks.iter().all(|task| task.workers == ["w"] && task.attempts == 1 && task.seconds == Some(0.7)));
+        farm.heartbeat(1, Phase::Preparing, 0);
+    }
     assert_eq!(frames(&farm, id)[0], Running);
     farm.work(1, Done);
     assert_eq!(states(&farm, id)[0], Finished);

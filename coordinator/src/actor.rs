@@ -1,7 +1,7 @@
 //! The task that owns the scheduler and the log.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use femc_fault::{Point, pass, pass_async};
 use femc_model::{
@@ -73,6 +73,8 @@ pub(crate) struct Actor<Q> {
     pub(crate) queue: Q,
     pub(crate) store: Store,
     pub(crate) clock: Clock,
+    /// Unix time in milliseconds at which the farm's clock began, where the date is not the machine's.
+    date_zero: Option<u64>,
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
     /// Whose sessions have begun and are not welcomed yet.
     joined: Vec<WorkerId>,
@@ -144,6 +146,7 @@ impl<Q: Queue> Actor<Q> {
         config.metrics.waits(None);
         Self {
             clock: Clock::from(scheduler.ledger().now(), config.time.clone()),
+            date_zero: config.scheduler.clock_zero,
             scheduler,
             queue,
             store,
@@ -287,6 +290,15 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
+    /// Calendar date: Unix time in milliseconds. A simulation's follows its clock.
+    fn date(&self) -> Option<u64> {
+        if let Some(zero) = self.date_zero {
+            return Some(zero.saturating_add(self.clock.now().0));
+        }
+        let date = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+        u64::try_from(date.as_millis()).ok()
+    }
+
     fn call(&mut self, call: Call, commands: &mut Vec<Command>) {
         match call {
             Call::Submit { key, reply, .. }
@@ -297,7 +309,8 @@ impl<Q: Queue> Actor<Q> {
             }
             Call::Submit { key, spec, reply } => {
                 let request = self.ask(PendingReply::Submit(reply));
-                self.hear(Event::Submitted { request, key, spec }, commands);
+                let date = self.date();
+                self.hear(Event::Submitted { request, key, spec, date }, commands);
             }
             Call::Control { job, control, reply } => {
                 let request = self.ask(PendingReply::Control(reply));

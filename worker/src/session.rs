@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass_async};
 use femc_model::{
-    Epoch, Failure, FromWorker, Intake, JobId, JobSpec, Latest, Near, Phase, Registration, TaskKey, TaskLog, TaskResult,
-    TaskUsage, ToWorker, Usage,
+    Epoch, Failure, FromWorker, Intake, JobId, JobSpec, Latest, Near, Phase, Registration, TaskKey, TaskLog,
+    TaskResult, TaskUsage, ToWorker, Usage,
 };
 use femc_proto::{CallError, Client, Incoming, Outgoing, Why};
 use tokio::sync::mpsc::UnboundedReceiver;

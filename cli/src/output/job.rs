@@ -73,7 +73,7 @@ pub fn table(jobs: &[JobStatus]) -> String {
 /// How long ago it was submitted; `None`: not known.
 fn age(job: &JobStatus) -> Option<String> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
-    let age = now.saturating_sub(Duration::from_millis(job.submitted?));
+    let age = now.saturating_sub(Duration::from_millis(job.submitted_date.or(job.submitted)?));
     Some(human::seconds(age.as_secs_f64()))
 }
 

@@ -31,5 +31,17 @@ pub fn reading_version<T>(version: u8, read: impl FnOnce() -> T) -> T {
 /// # Errors
 /// The field is damaged.
 pub fn since_version_9<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
-    if READING.get() < 9 { Ok(T::default()) } else { T::deserialize(from) }
+    since(9, from)
+}
+
+/// A field that version 10 of the log added.
+///
+/// # Errors
+/// The field is damaged.
+pub fn since_version_10<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
+    since(10, from)
+}
+
+fn since<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>>(version: u8, from: D) -> Result<T, D::Error> {
+    if READING.get() < version { Ok(T::default()) } else { T::deserialize(from) }
 }

@@ -56,6 +56,9 @@ pub struct JobStatus {
     /// When it was submitted: Unix time in milliseconds, by the farm's clock, which stands still while no coordinator is there: what
     /// was submitted before an outage counts as submitted so much later. `None`: nobody knows what the date was.
     pub submitted: Option<u64>,
+    /// Calendar date of its submission: Unix time in milliseconds, by the coordinator's machine. `None`: not known, as of jobs in
+    /// logs before version 10.
+    pub submitted_date: Option<u64>,
 }
 
 /// How far a frame in work is.

@@ -28,7 +28,7 @@ fn main() {
     };
     let empty = memory("VmRSS");
     let begun = Instant::now();
-    farm.on(Event::Submitted { request: RequestId(1), key: None, spec: Box::new(spec) }, Tick(0));
+    farm.on(Event::Submitted { request: RequestId(1), key: None, spec: Box::new(spec), date: None }, Tick(0));
     println!("submit of {} tasks: {:?}", u64::from(frames) * u64::from(tiles), begun.elapsed());
 
     let submitted = memory("VmRSS");

@@ -12,6 +12,7 @@ impl Scheduler {
         &mut self,
         key: Option<String>,
         spec: Box<JobSpec>,
+        date: Option<u64>,
         now: Tick,
         out: &mut Vec<Command>,
     ) -> Result<Answer, Refusal> {
@@ -24,7 +25,7 @@ impl Scheduler {
         }
         self.within_quota(&spec)?;
         let job = self.ledger.next_job();
-        self.record(Fact::Submitted { job, key, spec, cut: Cut::Grains(self.config.grain) }, now, out);
+        self.record(Fact::Submitted { job, key, spec, cut: Cut::Grains(self.config.grain), date }, now, out);
         self.rebuild(job);
         self.retry_shared(job, |_| true, now, out);
         out.push(Command::Changed(job));

@@ -22,6 +22,8 @@ pub enum Event {
         key: Option<String>,
         /// The job.
         spec: Box<JobSpec>,
+        /// Calendar date: Unix time in milliseconds; `None`: not known.
+        date: Option<u64>,
     },
     /// A person steers a job.
     Controlled {

@@ -33,6 +33,9 @@ pub enum Fact {
         spec: Box<JobSpec>,
         /// How finely its tasks are cut.
         cut: Cut,
+        /// Calendar date: Unix time in milliseconds; `None`: not known.
+        #[serde(deserialize_with = "femc_model::since_version_10")]
+        date: Option<u64>,
     },
     /// The stages of a content are begun, for all jobs that need them, by one build of the engine.
     Shared {

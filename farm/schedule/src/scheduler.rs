@@ -141,8 +141,8 @@ impl Scheduler {
 
     fn take(&mut self, event: Event, now: Tick, out: &mut Vec<Command>) {
         match event {
-            Event::Submitted { request, key, spec } => {
-                let answer = self.submit(key, spec, now, out);
+            Event::Submitted { request, key, spec, date } => {
+                let answer = self.submit(key, spec, date, now, out);
                 out.push(Command::Answer { request, answer });
             }
             Event::Controlled { request, job, control } => {

@@ -71,6 +71,7 @@ impl Scheduler {
             copies: ready_tasks.copies,
             waits: self.waits(id, job, ready_tasks, now),
             submitted: self.config.clock_zero.map(|zero| zero.saturating_add(job.submitted().0)),
+            submitted_date: job.date,
         })
     }
 

@@ -1,8 +1,8 @@
 //! The messages of a worker's session.
 
 use femc_model::{
-    Death, FromWorker, HeldLease, Intake, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker,
-    WorkerId,
+    Death, FromWorker, HeldLease, Intake, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress,
+    ToWorker, WorkerId,
 };
 
 use super::status::intake_of;

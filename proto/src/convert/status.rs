@@ -36,6 +36,7 @@ impl From<JobStatus> for wire::JobStatus {
             copies: status.copies,
             waits: status.waits.into_iter().map(Into::into).collect(),
             submitted_unix_ms: status.submitted,
+            submitted_date_unix_ms: status.submitted_date,
         }
     }
 }
@@ -68,6 +69,7 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             copies: wire.copies,
             waits: each(wire.waits)?,
             submitted: wire.submitted_unix_ms,
+            submitted_date: wire.submitted_date_unix_ms,
         })
     }
 }

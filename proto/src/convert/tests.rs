@@ -288,6 +288,7 @@ fn statuses_cross_the_wire() {
             copies: 2,
             waits: waits.clone(),
             submitted: (state != Queued).then_some(1_795_680_000_123),
+            submitted_date: (state == Queued).then_some(1_795_680_000_124),
         };
         crosses::<JobStatus, wire::JobStatus>(status);
     }

@@ -623,6 +623,9 @@ pub struct JobStatus {
     /// Blocks of the frame measured last; absent: none was measured.
     #[prost(message, optional, tag = "23")]
     pub blocks: ::core::option::Option<Blocks>,
+    /// Calendar date of its submission, by the coordinator's machine: Unix time in milliseconds; absent: not known.
+    #[prost(uint64, optional, tag = "24")]
+    pub submitted_date_unix_ms: ::core::option::Option<u64>,
 }
 /// Blocks of 16 x 16 pixels of a measured frame.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

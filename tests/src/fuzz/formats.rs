@@ -512,7 +512,13 @@ fn sealed(bytes: &[u8]) -> Vec<u8> {
 fn log() -> Vec<Target> {
     let facts = [
         Fact::Opened { incarnation: 7 },
-        Fact::Submitted { job: JobId(1), key: Some("key".into()), spec: Box::new(spec()), cut: Cut::Whole },
+        Fact::Submitted {
+            job: JobId(1),
+            key: Some("key".into()),
+            spec: Box::new(spec()),
+            cut: Cut::Whole,
+            date: Some(7),
+        },
         Fact::Controlled { job: JobId(1), control: Control::Priority(70) },
         Fact::Drained { instance: 5, drain: Drain::Begin },
         Fact::Forgotten { job: JobId(3) },

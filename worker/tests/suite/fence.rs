@@ -62,7 +62,11 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
         }
         if begun.elapsed() < Duration::from_millis(500) {
             answered = Instant::now();
-            first.out.send(ToWorker::Renewed { heartbeat: number, leases: left(&assignment, LEASE), intake: Intake::Open }).await.unwrap();
+            first
+                .out
+                .send(ToWorker::Renewed { heartbeat: number, leases: left(&assignment, LEASE), intake: Intake::Open })
+                .await
+                .unwrap();
         }
     }
     let silent = answered.elapsed();
@@ -84,11 +88,19 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
         last = number;
         second.out.send(ToWorker::Renewed { heartbeat: number, leases: vec![], intake: Intake::Open }).await.unwrap();
     }
-    second.out.send(ToWorker::Renewed { heartbeat: last, leases: left(&assignment, LEASE), intake: Intake::Open }).await.unwrap();
+    second
+        .out
+        .send(ToWorker::Renewed { heartbeat: last, leases: left(&assignment, LEASE), intake: Intake::Open })
+        .await
+        .unwrap();
     let next = second.messages.next().await.unwrap().unwrap();
     assert!(matches!(next, FromWorker::Heartbeat { .. }), "an answer that was heard before says nothing: {next:?}");
     let FromWorker::Heartbeat { number, .. } = next else { return };
-    second.out.send(ToWorker::Renewed { heartbeat: number, leases: left(&assignment, LEASE), intake: Intake::Open }).await.unwrap();
+    second
+        .out
+        .send(ToWorker::Renewed { heartbeat: number, leases: left(&assignment, LEASE), intake: Intake::Open })
+        .await
+        .unwrap();
     let reported = async {
         loop {
             match second.messages.next().await.unwrap().unwrap() {

@@ -80,6 +80,9 @@ pub(crate) struct Job {
     #[serde(deserialize_with = "femc_model::since_version_9")]
     pub(crate) blocks: Option<Blocks>,
     submitted: Tick,
+    /// Calendar date of the submission: Unix time in milliseconds.
+    #[serde(deserialize_with = "femc_model::since_version_10")]
+    pub(crate) date: Option<u64>,
     cut: Cut,
     pub(crate) shared: Option<Shared>,
     /// Frames that are neither finished nor blocked, by the key of their content.
@@ -123,11 +126,17 @@ impl Job {
             relative_error: None,
             blocks: None,
             submitted: now,
+            date: None,
             cut,
             shared,
             left,
             hints: Hints::default(),
         }
+    }
+
+    /// The same job with the calendar date of its submission.
+    pub(super) fn submitted_at(self, date: Option<u64>) -> Self {
+        Self { date, ..self }
     }
 
     /// Its frames, ascending.

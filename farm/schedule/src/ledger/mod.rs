@@ -70,12 +70,12 @@ impl Ledger {
                 self.incarnation = self.incarnation.max(*incarnation);
                 return Vec::new();
             }
-            Fact::Submitted { job, key, spec, cut } => {
+            Fact::Submitted { job, key, spec, cut, date } => {
                 self.last_job = self.last_job.max(job.0);
                 if let Some(key) = key {
                     self.keys.insert(key.clone(), *job);
                 }
-                self.jobs.insert(*job, Job::new(spec.clone(), None, *cut, now));
+                self.jobs.insert(*job, Job::new(spec.clone(), None, *cut, now).submitted_at(*date));
                 return Vec::new();
             }
             Fact::Shared { job, key, engine, spec, cut } => {

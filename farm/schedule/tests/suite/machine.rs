@@ -628,7 +628,7 @@ impl Machine {
                 let tags = if tiles == 1 { vec![TAG.to_owned()] } else { vec![] };
                 let spec = Box::new(JobSpec { owner, priority, tags, contents, ..common::of(&frames, tiles, graph) });
                 let name = key.map(|key| key.to_string());
-                let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: name, spec });
+                let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: name, spec, date: None });
                 let known = key.and_then(|key| self.keys.get(&key).copied());
                 match common::answer(&commands) {
                     Some(Answer::Submitted(job)) if known.is_none() => {

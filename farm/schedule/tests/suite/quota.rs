@@ -20,7 +20,7 @@ fn answer(farm: &mut Farm, event: Event) -> Result<JobId, Refusal> {
 }
 
 fn submit(farm: &mut Farm, spec: JobSpec) -> Result<JobId, Refusal> {
-    answer(farm, Event::Submitted { request: RequestId(1), key: None, spec: Box::new(spec) })
+    answer(farm, Event::Submitted { request: RequestId(1), key: None, spec: Box::new(spec), date: None })
 }
 
 fn refused(outcome: &Result<JobId, Refusal>, limit: u64) -> bool {
@@ -48,7 +48,7 @@ fn the_same_submission_again_is_the_same_job_at_the_limit_too() {
     let mut farm = Farm::with(Config { quota: Quota { jobs: 1, ..Quota::default() }, ..config() });
     let again = |farm: &mut Farm, key: &str| {
         let spec = Box::new(of("ann", &[1], 1));
-        answer(farm, Event::Submitted { request: RequestId(1), key: Some(key.into()), spec })
+        answer(farm, Event::Submitted { request: RequestId(1), key: Some(key.into()), spec, date: None })
     };
     let first = again(&mut farm, "a").unwrap();
     assert_eq!(again(&mut farm, "a"), Ok(first));

@@ -632,7 +632,7 @@ fn a_second_submission_with_the_same_key_is_the_same_job() {
     let mut farm = Farm::new();
     let submit = |farm: &mut Farm, key: &str| {
         let spec = Box::new(job(&[1], 1, &[4]));
-        answer(&farm.on(Event::Submitted { request: RequestId(9), key: Some(key.into()), spec }))
+        answer(&farm.on(Event::Submitted { request: RequestId(9), key: Some(key.into()), spec, date: None }))
     };
     let first = submit(&mut farm, "a");
     assert_eq!(submit(&mut farm, "a"), first);
@@ -757,7 +757,7 @@ fn a_job_that_ended_long_ago_is_forgotten_and_one_that_somebody_retries_is_not()
     let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..common::config() });
     let submit = |farm: &mut Farm, key: &str| {
         let spec = Box::new(job(&[1], 1, &[4]));
-        match answer(&farm.on(Event::Submitted { request: RequestId(9), key: Some(key.into()), spec })) {
+        match answer(&farm.on(Event::Submitted { request: RequestId(9), key: Some(key.into()), spec, date: None })) {
             Some(Answer::Submitted(job)) => job,
             other => panic!("{other:?}"),
         }

@@ -49,7 +49,7 @@ fn work(farm: &mut Farm, worker: u64, decision: Decision) {
 const LIFE: &[fn(&mut Farm)] = &[
     |farm| {
         let (key, spec) = (Some("fog".into()), Box::new(job(&[1, 2], 2, &[4, 8])));
-        farm.on(Event::Submitted { request: RequestId(0), key, spec });
+        farm.on(Event::Submitted { request: RequestId(0), key, spec, date: None });
         farm.submit(JobSpec { owner: "eve".into(), ..grouped(&[1], 4, &[4], 2) });
     },
     |farm| drop((farm.join(1), farm.join(2))),
@@ -121,4 +121,14 @@ fn a_log_of_version_8_is_read_as_the_ledger_that_wrote_it() {
     }
     assert_eq!(ledger, wanted);
     assert!(parts.len() > 11);
+    // Version 9 wrote submissions as version 8 did, without their date.
+    let submitted = |part: &[u8]| {
+        let part: Vec<u8> = [9].into_iter().chain(part[1..].iter().copied()).collect();
+        match Fact::decode(&part) {
+            Ok((_, Fact::Submitted { spec, date, .. })) => Some((spec.name, date)),
+            _ => None,
+        }
+    };
+    let names: Vec<_> = parts[1..].iter().filter_map(|part| submitted(part)).collect();
+    assert_eq!(names, [("fog".to_owned(), None), ("fog".to_owned(), None)]);
 }

@@ -3,7 +3,7 @@
 use crate::common;
 use crate::common::{Farm, job, panic};
 use femc_model::*;
-use femc_schedule::Config;
+use femc_schedule::{Answer, Config, Event, RequestId, Scheduler};
 
 use Decision::Done;
 
@@ -119,4 +119,21 @@ fn the_date_of_a_submission_is_told_by_the_farms_clock_where_its_date_is_known()
         farm.restart();
         assert_eq!(farm.status(id).submitted, told, "a restart does not change it");
     }
+}
+
+#[test]
+fn an_outage_does_not_move_the_calendar_date_of_a_submission() {
+    let mut farm = Farm::new();
+    let date = Some(1_795_680_000_000);
+    let spec = Box::new(job(&[1], 1, &[4]));
+    let commands = farm.on(Event::Submitted { request: RequestId(7), key: None, spec, date });
+    let Some(Answer::Submitted(id)) = common::answer(&commands) else { panic!("{commands:?}") };
+    assert_eq!(farm.status(id).submitted_date, date);
+    // The clock of the coordinator after it begins an hour later.
+    farm.restart();
+    let ledger = farm.replay();
+    let (scheduler, _) = Scheduler::new(Config { clock_zero: Some(3_600_000), ..common::config() }, ledger);
+    farm.scheduler = scheduler;
+    assert_eq!(farm.status(id).submitted_date, date);
+    assert_ne!(farm.status(id).submitted, date);
 }

@@ -28,6 +28,8 @@ pub struct JobJson {
     seconds: f64,
     /// When it was submitted, Unix seconds by the farm's clock.
     submitted: Option<f64>,
+    /// Calendar date of its submission, Unix seconds.
+    submitted_date: Option<f64>,
     workers: u32,
     failure: Option<String>,
     active: Vec<ActiveJson>,
@@ -80,6 +82,7 @@ impl From<&JobStatus> for JobJson {
             unlit_blocks: job.blocks.map(|blocks| blocks.unlit),
             seconds: job.seconds,
             submitted: job.submitted.map(|milliseconds| milliseconds as f64 / 1000.0),
+            submitted_date: job.submitted_date.map(|milliseconds| milliseconds as f64 / 1000.0),
             workers: job.workers,
             failure: job.failure.as_ref().map(ToString::to_string),
             active: job.active.iter().map(ActiveJson::from).collect(),
@@ -238,6 +241,7 @@ mod tests {
             copies: 0,
             waits: Vec::new(),
             submitted: None,
+            submitted_date: None,
         };
         let said = |reason| wait(&job, &reason);
         let waits = said(Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 });

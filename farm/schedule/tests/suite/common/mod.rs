@@ -197,7 +197,7 @@ impl Farm {
     pub fn submit(&mut self, spec: JobSpec) -> JobId {
         self.requests += 1;
         let request = RequestId(self.requests);
-        let commands = self.on(Event::Submitted { request, key: None, spec: Box::new(spec) });
+        let commands = self.on(Event::Submitted { request, key: None, spec: Box::new(spec), date: None });
         let taken = answer(&commands).map(|answer| match answer {
             Answer::Submitted(job) | Answer::Controlled(job) => job,
         });

@@ -71,6 +71,41 @@ fn a_drained_worker_gets_nothing_and_says_so_until_that_is_undone() {
     assert_eq!(workers(&place, &url)[0]["intake"], "open");
 }
 
+#[test]
+fn a_drained_worker_gives_back_within_two_seconds_what_it_has_not_begun() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let _worker = place.start(&format!("worker --join {url} --threads 1 --name lab"));
+    // Tiles of some seconds each.
+    let job = submit(&place, &url, "--spp 4000 --size 32x32 --frames 1..6");
+    let held = || workers(&place, &url)[0]["tasks"].as_array().map_or(0, Vec::len);
+    farm.wait_until("a task that waits behind one that runs", || held() > 1);
+    let tasks = |state: &str| {
+        let path = format!("GET /api/v1/jobs/{job}/tasks?state={state}");
+        common::http::ask(url.trim_start_matches("http://"), &path, &[], "").json()["total"].as_u64().expect("a number")
+    };
+    assert!(tasks("queued") >= 1, "what waits at the worker is queued there");
+    let begun = std::time::Instant::now();
+    place.run(&format!("drain lab --server {url}")).exits(0);
+    farm.wait_until("the drained worker to have one task at most", || held() <= 1);
+    println!("{:.1} s until it held {} task", begun.elapsed().as_secs_f64(), held());
+    assert_eq!(tasks("queued"), 0);
+    let status = status(&place, &url, &job);
+    assert_eq!(status["state"], "running", "{status}");
+    // What was given back is no failure, and another does it.
+    let _other = place.start(&format!("worker --join {url} --threads 1 --name other"));
+    farm.wait_until("a task at the other worker", || {
+        let all = workers(&place, &url);
+        all.as_array()
+            .expect("a list")
+            .iter()
+            .any(|it| it["name"] == "other" && !it["tasks"].as_array().expect("tasks").is_empty())
+    });
+    let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    assert!(!why.contains("fail"), "{why}");
+    place.run(&format!("cancel {job} --server {url}")).exits(0);
+}
+
 /// `HH:MM` so many hours from now, in UTC.
 fn hours_from_now(hours: u64) -> String {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_secs();

@@ -94,6 +94,23 @@ pub enum ServeError {
     /// The reflection service cannot be built.
     #[error("server reflection: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
+    /// The identity cannot be used for TLS.
+    #[error("server identity: {0}")]
+    Identity(#[from] IdentityError),
+}
+
+/// An identity that cannot be used for TLS.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentityError {
+    /// A certificate or the key is not PEM.
+    #[error("cannot read a certificate or the key: {0}")]
+    Pem(#[from] rustls::pki_types::pem::Error),
+    /// The authority's certificate cannot verify clients.
+    #[error("cannot verify clients with the authority's certificate: {0}")]
+    Authority(#[from] rustls::server::VerifierBuilderError),
+    /// TLS refuses the certificate or the key.
+    #[error("TLS refuses the certificate or the key: {0}")]
+    Tls(#[from] rustls::Error),
 }
 
 /// Exhaustive: a new refusal must choose its code.

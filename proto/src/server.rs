@@ -9,6 +9,7 @@ mod inputs;
 mod jobs;
 mod promised;
 mod punctual;
+mod secure;
 mod traffic;
 mod uploads;
 mod workers;
@@ -36,9 +37,10 @@ use crate::many::Many as _;
 use crate::net::Io;
 use crate::{PIECE, tls, wire};
 pub use collect::{CollectMode, Collected, LEAST_GRACE, Volume};
-use door::{Admitted, Door, Unheard};
+use door::{Door, Unheard};
 use guard::Guard;
 use promised::Promised;
+use secure::{Connection, secured};
 pub use traffic::Traffic;
 use uploads::Uploads;
 use wire::artifacts_server::ArtifactsServer;
@@ -179,7 +181,7 @@ impl Server {
         incoming: impl Stream<Item = io::Result<C>>,
         stop: impl Future<Output = ()>,
     ) -> Result<(), ServeError> {
-        let incoming = self.admitted(incoming);
+        let incoming = self.connections(incoming)?;
         let (router, health) = self.router().await?;
         let stop = async move {
             stop.await;
@@ -195,18 +197,27 @@ impl Server {
         self,
         incoming: impl Stream<Item = io::Result<C>>,
     ) -> Result<(), ServeError> {
-        let incoming = self.admitted(incoming);
+        let incoming = self.connections(incoming)?;
         Ok(self.router().await?.0.serve_with_incoming(incoming).await?)
     }
 
-    fn admitted<C: Io + Connected, I: Stream<Item = io::Result<C>>>(
+    /// The connections that are let in, after their handshakes.
+    fn connections<C: Io + Connected, I: Stream<Item = io::Result<C>>>(
         &self,
         incoming: I,
-    ) -> impl Stream<Item = io::Result<Admitted<C>>> + use<C, I> {
+    ) -> Result<impl Stream<Item = io::Result<Connection<C>>> + use<C, I>, ServeError> {
+        let tls = match &self.entrance {
+            Some(Entrance { identity: Some(identity), tokens, .. }) => {
+                let clients = if tokens.is_some() { tls::Clients::MayShowTokens } else { tls::Clients::ShowIdentities };
+                Some(Arc::new(tls::server(identity, clients)?))
+            }
+            _ => None,
+        };
         let is_encrypted = self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some());
         let unheard = if is_encrypted { Unheard::Noted } else { Unheard::Ignored };
         let door = Door::new(self.limits, self.audit.clone(), unheard);
-        incoming.filter_map(move |io| io.map(|io| door.admit(io)).transpose())
+        let admitted = incoming.filter_map(move |io| io.map(|io| door.admit(io)).transpose());
+        Ok(secured(admitted, tls))
     }
 
     async fn router(self) -> Result<(Router<Layers>, HealthReporter), ServeError> {
@@ -217,11 +228,7 @@ impl Server {
         let reflection = tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .build_v1()?;
-        let mut builder = tonic::transport::Server::builder();
-        if let Some(Entrance { identity: Some(identity), tokens, .. }) = &self.entrance {
-            let clients = if tokens.is_some() { tls::Clients::MayShowTokens } else { tls::Clients::ShowIdentities };
-            builder = builder.tls_config(tls::server(identity, clients))?;
-        }
+        let builder = tonic::transport::Server::builder();
         let limits = self.limits;
         let is_encrypted = self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some());
         let lists = self.entrance.as_ref().map(|Entrance { revoked, tokens, .. }| (revoked.clone(), tokens.clone()));

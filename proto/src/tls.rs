@@ -1,12 +1,17 @@
 //! Encryption: a coordinator shows a certificate of the farm's authority, and so does its client, or a token.
 
 use std::error::Error;
+use std::sync::Arc;
 
 use femc_trust::{COORDINATOR_HOST, Identity};
-use rustls::AlertDescription as Alert;
-use tonic::transport::{Certificate, ClientTlsConfig, ServerTlsConfig};
+use rustls::crypto::ring;
+use rustls::pki_types::pem::PemObject as _;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::server::WebPkiClientVerifier;
+use rustls::{AlertDescription as Alert, RootCertStore, ServerConfig};
+use tonic::transport::{Certificate, ClientTlsConfig};
 
-use crate::error::Why;
+use crate::error::{IdentityError, Why};
 
 /// What a broken connection says about certificates.
 pub(crate) fn why(error: &(dyn Error + 'static)) -> Why {
@@ -61,11 +66,24 @@ pub(crate) fn client(identity: &Identity) -> ClientTlsConfig {
     known_by(identity.authority()).identity(own(identity))
 }
 
+/// Protocols that a coordinator speaks over TLS, the preferred one first: gRPC needs HTTP/2, other programs may use either.
+const PROTOCOLS: [&[u8]; 2] = [b"h2", b"http/1.1"];
+
 /// Lets in whoever shows a certificate of the same authority.
-pub(crate) fn server(identity: &Identity, clients: Clients) -> ServerTlsConfig {
-    let authority = Certificate::from_pem(identity.authority());
-    ServerTlsConfig::new()
-        .identity(own(identity))
-        .client_ca_root(authority)
-        .client_auth_optional(clients == Clients::MayShowTokens)
+pub(crate) fn server(identity: &Identity, clients: Clients) -> Result<ServerConfig, IdentityError> {
+    let certificate = |pem: &str| CertificateDer::from_pem_slice(pem.as_bytes());
+    let provider = Arc::new(ring::default_provider());
+    let mut authority = RootCertStore::empty();
+    authority.add(certificate(identity.authority())?)?;
+    let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(authority), provider.clone());
+    let verifier = match clients {
+        Clients::ShowIdentities => verifier,
+        Clients::MayShowTokens => verifier.allow_unauthenticated(),
+    };
+    let config = ServerConfig::builder_with_provider(provider).with_safe_default_protocol_versions()?;
+    let key = PrivateKeyDer::from_pem_slice(identity.key().as_bytes())?;
+    let own = vec![certificate(identity.certificate())?];
+    let mut config = config.with_client_cert_verifier(verifier.build()?).with_single_cert(own, key)?;
+    config.alpn_protocols = PROTOCOLS.map(<[u8]>::to_vec).to_vec();
+    Ok(config)
 }

@@ -9,6 +9,7 @@ mod config;
 mod deaths;
 mod drill;
 mod encode;
+mod encrypted;
 mod farm;
 mod faults;
 mod features;

@@ -14,6 +14,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use femc_trust::{Audit, AuditEvent};
+use rustls::pki_types::CertificateDer;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 use tonic::transport::server::{Connected, TcpConnectInfo};
@@ -30,6 +31,8 @@ pub(super) struct Peer {
     pub(super) reached: Option<SocketAddr>,
     /// Of the connection, from 1.
     pub(super) number: u64,
+    /// The certificate that it has shown, after the handshake.
+    pub(super) certificate: Option<CertificateDer<'static>>,
     is_introduced: Arc<AtomicBool>,
     is_served: Arc<AtomicBool>,
 }
@@ -123,7 +126,14 @@ impl Door {
         inside.numbers += 1;
         let number = inside.numbers;
         inside.of.insert(place, of_place + 1);
-        let peer = Peer { address, reached, number, is_introduced: Arc::default(), is_served: Arc::default() };
+        let peer = Peer {
+            address,
+            reached,
+            number,
+            certificate: None,
+            is_introduced: Arc::default(),
+            is_served: Arc::default(),
+        };
         let deadline = Some(Box::pin(tokio::time::sleep(self.limits.introduction)));
         let idle = Idle::new(self.limits.idle);
         let audit = self.audit.clone().filter(|_| self.unheard == Unheard::Noted);

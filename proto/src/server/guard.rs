@@ -10,7 +10,6 @@ use femc_service::{Gate, Http, Introduced, Operation, Outcome, Served, Shown, Tr
 use http::header::{AUTHORIZATION, CONTENT_TYPE};
 use http::{Request, Response};
 use tonic::body::Body;
-use tonic::transport::server::TlsConnectInfo;
 use tonic::{Code, Status};
 use tower::{Layer, Service};
 
@@ -73,8 +72,7 @@ impl Guard {
             token.unwrap_or_default().to_owned()
         };
         let token = request.headers().get(AUTHORIZATION).map(bearer);
-        let certificates = request.extensions().get::<TlsConnectInfo<Peer>>().and_then(|info| info.peer_certs());
-        let certificate = certificates.as_deref().and_then(|all| all.first());
+        let certificate = peer.as_ref().and_then(|peer| peer.certificate.as_ref());
         let shown = Shown { token: token.as_deref(), certificate, place: place.as_deref() };
         let granted = self.gate.check(operation, shown, &trail)?;
         if let Some(caller) = granted.caller {
@@ -115,8 +113,7 @@ fn is_grpc<B>(request: &Request<B>) -> bool {
 /// Who is at the other end, for the HTTP side.
 fn visitor<B>(request: &Request<B>) -> (Visitor, Option<Peer>) {
     let peer = request.extensions().get::<Peer>().cloned();
-    let certificates = request.extensions().get::<TlsConnectInfo<Peer>>().and_then(|info| info.peer_certs());
-    let certificate = certificates.as_deref().and_then(|all| all.first().cloned());
+    let certificate = peer.as_ref().and_then(|peer| peer.certificate.clone());
     let address = peer.as_ref().and_then(|peer| peer.address);
     let reached = peer.as_ref().and_then(|peer| peer.reached);
     let connection = peer.as_ref().map_or(0, |peer| peer.number);

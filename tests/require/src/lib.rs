@@ -1,7 +1,7 @@
 //! For tests: what a test needs of the machine, and whether it may be skipped without it.
 //!
 //! A test that lacks a need is skipped with a printed line. `FEMC_REQUIRE` lists the needs that must be met, separated by
-//! commas (`postgres`, `s3`, `python`, `refs`): a test that lacks one of those fails instead. A word that is no need fails every
+//! commas (`postgres`, `s3`, `python`, `refs`, `curl`, `python3`, `node`): a test that lacks one of those fails instead. A word that is no need fails every
 //! test that asks for any.
 #![deny(missing_docs)]
 
@@ -23,15 +23,21 @@ pub enum Need {
     Python,
     /// The reference scenes and images in `../shared`.
     Refs,
+    /// The program `curl` with HTTP/2.
+    Curl,
+    /// The program `python3`, with its standard library alone.
+    Python3,
+    /// The program `node`, from version 18 on, which has `fetch`.
+    Node,
 }
 
 /// A word of [`VARIABLE`] that names no need.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{VARIABLE} names `{0}`, which is none of postgres, s3, python, refs")]
+#[error("{VARIABLE} names `{0}`, which is none of postgres, s3, python, refs, curl, python3, node")]
 pub struct UnknownNeed(String);
 
 impl Need {
-    const ALL: [Self; 4] = [Self::Postgres, Self::S3, Self::Python, Self::Refs];
+    const ALL: [Self; 7] = [Self::Postgres, Self::S3, Self::Python, Self::Refs, Self::Curl, Self::Python3, Self::Node];
 
     fn word(self) -> &'static str {
         match self {
@@ -39,6 +45,9 @@ impl Need {
             Self::S3 => "s3",
             Self::Python => "python",
             Self::Refs => "refs",
+            Self::Curl => "curl",
+            Self::Python3 => "python3",
+            Self::Node => "node",
         }
     }
 
@@ -55,6 +64,13 @@ impl Need {
             println!("skipped: {absent}");
         }
         found
+    }
+
+    /// Whether the program of this name runs; see [`Need::or_skip`].
+    pub fn program(self) -> bool {
+        let ran = std::process::Command::new(self.word()).arg("--version").output();
+        let found = ran.ok().filter(|ran| ran.status.success());
+        self.or_skip(found, &format!("{self} is not installed")).is_some()
     }
 
     /// The value of a variable that the script `tests/<need>` sets; see [`Need::or_skip`].
@@ -96,7 +112,7 @@ mod tests {
     #[test]
     fn a_list_is_its_words() {
         assert_eq!(parse("s3,postgres, refs"), Ok(vec![Need::S3, Need::Postgres, Need::Refs]));
-        assert_eq!(parse("postgres,s3,python,refs"), Ok(Need::ALL.to_vec()));
+        assert_eq!(parse("postgres,s3,python,refs,curl,python3,node"), Ok(Need::ALL.to_vec()));
         assert_eq!(parse(""), Ok(vec![]));
     }
 

@@ -60,6 +60,12 @@ pub(super) enum Fault {
         /// Bytes.
         limit: usize,
     },
+    /// The headers are too large.
+    #[error("the headers have more than {limit} bytes")]
+    Headers {
+        /// Bytes, 32 of them for each header beside its name and value.
+        limit: u32,
+    },
     /// A body did not come.
     #[error("the body did not come: {message}")]
     Cut {
@@ -92,6 +98,7 @@ impl Fault {
             Self::Invalid { .. } => StatusCode::BAD_REQUEST,
             Self::CrossSite { .. } | Self::Host { .. } => StatusCode::FORBIDDEN,
             Self::TooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+            Self::Headers { .. } => StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE,
             Self::Cut { .. } => StatusCode::REQUEST_TIMEOUT,
         }
     }
@@ -106,6 +113,7 @@ impl Fault {
             Self::CrossSite { .. } => "cross_site",
             Self::Host { .. } => "foreign_host",
             Self::TooLarge { .. } => "too_large",
+            Self::Headers { .. } => "headers_too_large",
             Self::Cut { .. } => "cut",
         }
     }
@@ -140,6 +148,7 @@ impl Fault {
                 "use its address, like http://127.0.0.1:PORT; names are for coordinators with --identity or --token-file"
             }
             Self::TooLarge { .. } => "send less at a time",
+            Self::Headers { .. } => "send fewer or shorter headers, such as cookies",
             Self::Cut { .. } => "send the request again, all of it at once",
         }
     }
@@ -150,7 +159,8 @@ impl Fault {
             Self::Refused(Refusal::Forbidden { .. } | Refusal::Unauthenticated { .. } | Refusal::TooLarge { .. })
             | Self::CrossSite { .. }
             | Self::Host { .. }
-            | Self::TooLarge { .. } => Outcome::Refused,
+            | Self::TooLarge { .. }
+            | Self::Headers { .. } => Outcome::Refused,
             Self::Refused(_)
             | Self::Nowhere { .. }
             | Self::NoPage

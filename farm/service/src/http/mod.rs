@@ -13,12 +13,15 @@ mod route;
 mod site;
 mod visitor;
 
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 
+use ::http::header::EXPECT;
 use ::http::{HeaderMap, Method, Request, Response, Uri};
 use bytes::Bytes;
 use femc_store::Store;
 use femc_trust::Audit;
+use http_body_util::BodyExt as _;
 
 use crate::access::{Gate, Granted, Limits, Outcome, Places, Shown, Trail, Who};
 use crate::farm::Farm;
@@ -73,6 +76,16 @@ struct Asked<'a> {
     headers: &'a HeaderMap,
 }
 
+impl Asked<'_> {
+    /// Refuses headers that are larger than the limit, by the sizes of HTTP/2 (RFC 9113, 6.5.2): each counts 32 bytes beside its name
+    /// and value. HTTP/2 refuses them itself, before a request is here.
+    fn within(&self, limit: u32) -> Result<(), Fault> {
+        let of_headers = self.headers.iter().map(|(name, value)| name.as_str().len() + value.len() + 32);
+        let of_uri = self.uri.path_and_query().map_or(0, |path| path.as_str().len());
+        if of_headers.sum::<usize>() + of_uri <= limit as usize { Ok(()) } else { Err(Fault::Headers { limit }) }
+    }
+}
+
 impl<S: Send + 'static> Http<S> {
     /// Of this farm, behind this gate.
     /// - `places`: for those who read what is large.
@@ -92,14 +105,15 @@ impl<S: Send + 'static> Http<S> {
         B::Error: std::fmt::Display,
     {
         let (head, body) = request.into_parts();
+        let mut body = pin!(body);
         let asked = Asked { method: &head.method, uri: &head.uri, headers: &head.headers };
-        let route = Route::of(&asked);
+        let route = asked.within(self.0.gate.limits().headers).and_then(|()| Route::of(&asked));
         let operation = route.as_ref().map_or(Operation::Other, Route::operation);
         let trail = self.0.gate.trail(operation, asked.uri.path(), visitor.address.map(|it| it.to_string()));
         let answered = match route {
             // What is no route is told without asking who wants to know, as often as anybody may ask.
             Err(fault) => Err(self.nowhere(fault, &visitor).await),
-            Ok(route) => self.pass(route, &asked, body, &visitor, &trail).await,
+            Ok(route) => self.pass(route, &asked, body.as_mut(), &visitor, &trail).await,
         };
         let mut response = match answered {
             Ok(response) => {
@@ -108,12 +122,37 @@ impl<S: Send + 'static> Http<S> {
             }
             Err(fault) => {
                 self.note(&trail, fault.outcome(), fault.code(), &fault.to_string());
+                self.discard(&asked, body).await;
                 fault.response(&asked)
             }
         };
         answer::protect(&mut response);
         response.extensions_mut().insert(operation);
         response
+    }
+
+    /// Reads the rest of a refused request's body and drops it. A client that still sends when the connection or the stream is closed
+    /// sees an error of the transport and not the answer.
+    async fn discard<B>(&self, asked: &Asked<'_>, mut body: Pin<&mut B>)
+    where
+        B: http_body::Body<Data = Bytes> + Send,
+    {
+        /// Most bytes that are read so; a client that announces more is answered at once.
+        const MOST: usize = 8 << 20;
+        // The client waits for the answer before it sends the body.
+        let is_held_back = asked.headers.contains_key(EXPECT);
+        if is_held_back || body.size_hint().lower() > MOST as u64 {
+            return;
+        }
+        let read = async {
+            let mut rest = MOST;
+            while let Some(Ok(frame)) = body.frame().await {
+                let Some(left) = rest.checked_sub(frame.data_ref().map_or(0, Bytes::len)) else { break };
+                rest = left;
+            }
+        };
+        // A client that is slower loses the answer, as any client does whose request is late.
+        let _ = tokio::time::timeout(self.0.gate.limits().patience, read).await;
     }
 
     async fn nowhere(&self, fault: Fault, visitor: &Visitor) -> Fault {
@@ -132,7 +171,7 @@ impl<S: Send + 'static> Http<S> {
         &self,
         route: Route,
         asked: &Asked<'_>,
-        body: B,
+        body: Pin<&mut B>,
         visitor: &Visitor,
         trail: &Trail,
     ) -> Result<Response<Body>, Fault>

@@ -1,5 +1,6 @@
 //! What each route does.
 
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -89,7 +90,7 @@ impl<S: Send + 'static> Http<S> {
         &self,
         route: Route,
         asked: &Asked<'_>,
-        body: B,
+        body: Pin<&mut B>,
         caller: Option<Arc<Caller>>,
         who: Who,
         trail: &Trail,
@@ -119,13 +120,15 @@ impl<S: Send + 'static> Http<S> {
     }
 
     /// A body that is not too large and comes in time.
-    async fn whole<B>(&self, body: B) -> Result<Bytes, Fault>
+    async fn whole<B>(&self, body: Pin<&mut B>) -> Result<Bytes, Fault>
     where
         B: http_body::Body<Data = Bytes> + Send,
         B::Error: std::fmt::Display,
     {
+        if body.size_hint().lower() > Self::BODY as u64 {
+            return Err(Fault::TooLarge { limit: Self::BODY });
+        }
         let patience = self.0.gate.limits().patience;
-        let body = std::pin::pin!(body);
         let mapped = body.map_err(|error| std::io::Error::other(error.to_string()));
         let whole = tokio::time::timeout(patience, Limited::new(mapped, Self::BODY).collect()).await;
         let late = || Fault::Cut { message: format!("not within {} s", patience.as_secs()) };

@@ -1,7 +1,7 @@
 /** The pages' shared state: the farm, what is looked at, what is selected, and how this browser likes it. */
 
 import { api, ApiError, explain } from './api';
-import { EMPTY, Feed, type Connection, type FarmState } from './feed';
+import { EMPTY, type Connection, type FarmState } from './feed';
 import { formatLasso, parseLasso, simplify, type Point } from './lasso';
 import { refusal, type Right } from './rights';
 import {
@@ -16,6 +16,7 @@ import {
   type Query,
   type Route,
 } from './route';
+import { Subscription } from './subscription';
 import type { Me } from './types';
 
 /** The store of views: which page, with which settings. The address bar has the same, letter by letter. */
@@ -117,28 +118,32 @@ class Farm {
   me = $state.raw<Me | null>(null);
   /** Whether a snapshot has come. */
   known = $derived(this.state.seq !== null);
-  private feed: Feed | null = null;
+  private readonly feed = new Subscription({
+    farm: (state) => (this.state = state),
+    connection: (connection) => {
+      const before = this.connection.state;
+      this.connection = connection;
+      if (connection.state === 'denied') this.denied();
+      // After a restart the coordinator may be another version, and ask other things.
+      else if (connection.state === 'live' && before !== 'live') void this.identify();
+    },
+  });
 
   /** Asks who we are, and follows the feed. */
   start() {
-    this.feed?.stop();
+    this.feed.start();
+  }
+
+  /** Connects anew after the user has signed in or out. */
+  restart() {
     this.connection = { state: 'connecting' };
-    this.feed = new Feed({
-      farm: (state) => (this.state = state),
-      connection: (connection) => {
-        const before = this.connection.state;
-        this.connection = connection;
-        if (connection.state === 'denied') this.denied();
-        // After a restart the coordinator may be another version, and ask other things.
-        else if (connection.state === 'live' && before !== 'live') void this.identify();
-      },
-    });
-    void this.feed.run();
+    this.state = EMPTY;
+    this.feed.restart();
   }
 
   /** Connects again at once, where the connection is lost. */
   again() {
-    this.feed?.again();
+    this.feed.again();
   }
 
   private denied() {

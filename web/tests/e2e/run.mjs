@@ -10,6 +10,7 @@ import { join } from 'node:path';
 import axe from 'axe-core';
 import { chromium } from 'playwright-core';
 import { Farm, pause, until } from './farm.mjs';
+import { tabs } from './tabs.mjs';
 
 const args = process.argv.slice(2);
 const shotsAt = args.includes('--shots') ? args.splice(args.indexOf('--shots'), 2)[1] : null;
@@ -25,6 +26,8 @@ const equal = (is, due, what) =>
 
 const browser = await chromium.launch({
   executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium',
+  // Browsers of people keep pages for the way back.
+  ignoreDefaultArgs: ['--disable-back-forward-cache'],
   args: [
     '--no-sandbox',
     '--disable-gpu',
@@ -437,6 +440,8 @@ await step('logs and settings', async () => {
   await current.getByText('128 × 72 pixels', { exact: false }).waitFor();
   await accessible('settings');
 });
+
+await tabs({ step, open, claim, equal, farm, jobs });
 
 await step('workers: drained, taken back, killed while the page is open', async () => {
   await visit('/workers');

@@ -5,11 +5,11 @@ import { EMPTY, type Connection, type FarmState } from './feed';
 import { formatLasso, parseLasso, simplify, type Point } from './lasso';
 import { refusal, type Right } from './rights';
 import {
+  formatAddress,
   formatNumbers,
-  formatQuery,
+  parseAddress,
   parseNumbers,
   parsePath,
-  parseQuery,
   pathOf,
   withValues,
   type JobTab,
@@ -35,7 +35,7 @@ class Views {
     clearTimeout(this.timer);
     this.timer = undefined;
     this.route = parsePath(location.pathname);
-    this.query = parseQuery(location.search);
+    this.query = parseAddress(location);
   }
 
   /** Goes to a page; the way back is kept. */
@@ -43,7 +43,7 @@ class Views {
     if (this.timer !== undefined) this.write();
     this.query = withValues({}, query);
     this.route = route;
-    history.pushState(null, '', pathOf(route) + formatQuery(this.query));
+    history.pushState(null, '', pathOf(route) + formatAddress(this.query));
     scrollTo(0, 0);
   }
 
@@ -66,7 +66,7 @@ class Views {
   private write() {
     clearTimeout(this.timer);
     this.timer = undefined;
-    history.replaceState(null, '', pathOf(this.route) + formatQuery(this.query));
+    history.replaceState(null, '', pathOf(this.route) + formatAddress(this.query));
   }
 }
 
@@ -150,7 +150,7 @@ class Farm {
     this.me = null;
     this.state = EMPTY;
     if (views.route.page !== 'login') {
-      const from = location.pathname + location.search;
+      const from = location.pathname + location.search + location.hash;
       views.go({ page: 'login' }, { from: from === '/' ? null : from });
     }
   }

@@ -9,11 +9,13 @@
 //! | each | length of its name (4), its name |
 //! | each | width x height half floats, row by row from the top left |
 //!
-//! All little-endian. Channels: R, G, B (linear Rec.709), Y (cd/m2), error (relative standard error of the pixel's block, -1 where nothing
-//! is known), samples. Of light statistics: depth (intersections of a path, mean), throughput (at its end, mean), deviation (standard
-//! deviation of the luminance of a sample, cd/m2); -1 where a pixel has no sample. What is beyond the range of half floats is their greatest value.
+//! All little-endian. Channels: R, G, B (linear Rec.709), Y (cd/m2), error (of the pixel's block of 16 x 16: half width of the 95 %
+//! interval of its mean luminance, relative to that), standard_error (of the pixel's luminance, relative to it), freedom (degrees of freedom
+//! of the standard error), samples; -1 where an error is not known. A standard error and no variance, since half floats end at 6e-8. Of
+//! light statistics: depth (intersections of a path, mean), throughput (at its end, mean), deviation (standard deviation of the luminance
+//! of a sample, cd/m2); -1 where a pixel has no sample. Values beyond the range of half floats become the greatest half float.
 
-use femc_film::{FilmError, FrameImage, exr};
+use femc_film::{FilmError, FrameImage, Image, PixelChannels, PixelError, exr, pixel_errors};
 use femc_paths::Statistics;
 use femc_paths::pixels::{Maps, Pixel};
 use half::f16;
@@ -21,32 +23,42 @@ use std::io::Cursor;
 
 const MAGIC: &[u8; 4] = b"FMXC";
 const VERSION: u32 = 1;
-const NAMES: [&str; 6] = ["R", "G", "B", "Y", "error", "samples"];
+/// Value of what is not known.
+const UNKNOWN: f32 = -1.0;
+const NAMES: [&str; 8] = ["R", "G", "B", "Y", "error", "standard_error", "freedom", "samples"];
 const MAPS: [&str; 3] = ["depth", "throughput", "deviation"];
 
 /// Of a finished frame.
 pub fn of_exr(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
-    let names = ["R", "G", "B", "relative_error.Y", "samples.Y"];
-    let (width, height, [r, g, b, errors, samples]) = exr::decode_channels(Cursor::new(bytes), names)?;
+    let names = ["R", "G", "B", "relative_error.Y", "variance.Y", "samples.Y"];
+    let (width, height, [r, g, b, errors, variance, samples]) = exr::decode_channels(Cursor::new(bytes), names)?;
     let pixels: Vec<[f32; 3]> = r.into_iter().zip(g).zip(b).map(|((r, g), b)| [r, g, b]).collect();
-    Ok(encode(&femc_film::Image { width, height, pixels }, &errors, samples.into_iter()))
+    Ok(encode(&Image { width, height, pixels }, &errors, &variance, &samples))
 }
 
 /// Of a frame in work.
 pub fn of_frame(image: &FrameImage) -> Vec<u8> {
     let errors = exr::errors(&image.error(), image);
-    encode(&image.color, &errors, image.samples.iter().map(|&samples| samples as f32))
+    let samples: Vec<f32> = image.samples.iter().map(|&samples| samples as f32).collect();
+    encode(&image.color, &errors, &image.luminance_variance, &samples)
 }
 
-fn encode(image: &femc_film::Image, errors: &[f32], samples: impl Iterator<Item = f32>) -> Vec<u8> {
-    let count = image.pixels.len();
+/// - `errors`: relative, of the pixels' blocks.
+/// - `variance`: of the pixels' luminance.
+fn encode(image: &Image, errors: &[f32], variance: &[f32], samples: &[f32]) -> Vec<u8> {
+    let luminance: Vec<f32> = (0..image.pixels.len()).map(|at| image.luminance(at)).collect();
+    let width = image.width as usize;
+    let own = pixel_errors(PixelChannels { width, luminance: &luminance, variance, samples });
+    let of = |value: fn(PixelError) -> f32| own.iter().map(move |error| error.map_or(UNKNOWN, value));
     let mut bytes = head([image.width, image.height], &NAMES);
     for channel in 0..3 {
         put(&mut bytes, image.pixels.iter().map(|pixel| pixel[channel]));
     }
-    put(&mut bytes, (0..count).map(|at| image.luminance(at)));
+    put(&mut bytes, luminance.iter().copied());
     put(&mut bytes, errors.iter().copied());
-    put(&mut bytes, samples);
+    put(&mut bytes, of(|error| error.standard_error as f32));
+    put(&mut bytes, of(|error| f32::from(error.freedom)));
+    put(&mut bytes, samples.iter().copied());
     bytes
 }
 
@@ -58,7 +70,7 @@ pub fn of_statistics(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
     let mut bytes = head(maps.film, &MAPS);
     let of: [fn(&Pixel) -> f64; 3] = [|it| it.depth, |it| it.throughput, |it| it.variance.sqrt()];
     for of in of {
-        let value = |pixel: &Pixel| if pixel.samples > 0 { of(pixel) as f32 } else { -1.0 };
+        let value = |pixel: &Pixel| if pixel.samples > 0 { of(pixel) as f32 } else { UNKNOWN };
         put(&mut bytes, pixels.iter().map(value));
     }
     Ok(bytes)
@@ -86,20 +98,117 @@ fn put(bytes: &mut Vec<u8>, values: impl Iterator<Item = f32>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use femc_film::Image;
+    use std::collections::BTreeMap;
+
+    fn number(bytes: &[u8], at: usize) -> u32 {
+        u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())
+    }
 
     #[test]
     fn planes_follow_their_names_and_huge_values_stay_finite() {
         let image = Image { width: 2, height: 1, pixels: vec![[1.0, 2.0, 4.0], [1e9, 0.0, 0.0]] };
-        let bytes = encode(&image, &[-1.0, 0.5], [16.0, 8.0].into_iter());
-        let number = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
-        assert_eq!((&bytes[..4], number(4), number(8), number(12), number(16)), (&b"FMXC"[..], 1, 2, 1, 6));
+        let bytes = encode(&image, &[-1.0, 0.5], &[0.0, 0.0], &[16.0, 8.0]);
+        let head = [4, 8, 12, 16].map(|at| number(&bytes, at));
+        assert_eq!((&bytes[..4], head), (&b"FMXC"[..], [1, 2, 1, 8]));
         let head = 20 + NAMES.iter().map(|name| 4 + name.len()).sum::<usize>();
         let planes: Vec<f32> =
             bytes[head..].chunks(2).map(|half| f16::from_le_bytes(half.try_into().unwrap()).to_f32()).collect();
-        assert_eq!(planes.len(), 12);
+        assert_eq!(planes.len(), 16);
         assert_eq!(planes[..6], [1.0, 65504.0, 2.0, 0.0, 4.0, 0.0]);
         assert!((planes[6] - image.luminance(0)).abs() < 1e-2 && planes[7] == 65504.0);
-        assert_eq!(planes[8..], [-1.0, 0.5, 16.0, 8.0]);
+        assert_eq!(planes[8..], [-1.0, 0.5, 0.0, 0.0, 2.0, 2.0, 16.0, 8.0]);
+    }
+
+    #[test]
+    fn a_standard_error_survives_half_floats_where_its_variance_would_not() {
+        let image = Image { width: 1, height: 1, pixels: vec![[1e-4; 3]] };
+        let bytes = encode(&image, &[0.5], &[1e-12], &[4.0]);
+        let halves: Vec<f32> =
+            bytes[bytes.len() - 16..].chunks(2).map(|half| f16::from_le_bytes(half.try_into().unwrap()).to_f32()).collect();
+        assert!((halves[5] / 0.01 - 1.0).abs() < 1e-3, "{halves:?}");
+        assert_eq!(f16::from_f32(1e-12).to_f32(), 0.0);
+    }
+
+    /// Planes by their names, as a page reads them.
+    fn read(bytes: &[u8]) -> BTreeMap<String, Vec<f32>> {
+        let [width, height, channels] = [8, 12, 16].map(|at| number(bytes, at) as usize);
+        let mut at = 20;
+        let mut names = Vec::new();
+        for _ in 0..channels {
+            let length = number(bytes, at) as usize;
+            names.push(String::from_utf8(bytes[at + 4..at + 4 + length].to_vec()).unwrap());
+            at += 4 + length;
+        }
+        assert_eq!(bytes.len(), at + 2 * width * height * channels);
+        let planes = bytes[at..].chunks(2 * width * height);
+        let float = |half: &[u8]| f16::from_le_bytes(half.try_into().unwrap()).to_f32();
+        names.into_iter().zip(planes.map(|plane| plane.chunks(2).map(float).collect())).collect()
+    }
+
+    /// A frame of 40 x 20 pixels: each differs, tiles have different numbers of samples, a tile has none, some pixels are black.
+    fn frame() -> FrameImage {
+        let mut image = FrameImage::black(40, 20);
+        for at in 0..800 {
+            let (x, y) = (at % 40, at / 40);
+            let word = (at as u32).wrapping_mul(2_654_435_761) >> 8;
+            let light = if x > 35 || word.is_multiple_of(11) { 0.0 } else { (word % 1000) as f32 * 0.01 + 0.001 };
+            image.color.pixels[at] = [light, 0.5 * light, 2.0 * light];
+            image.samples[at] = if y < 4 { 0 } else if x < 16 { 64 } else { 8 };
+            image.luminance_variance[at] = light * (word % 97) as f32 * 1e-4;
+            if image.samples[at] == 0 {
+                (image.color.pixels[at], image.luminance_variance[at]) = ([0.0; 3], 0.0);
+            }
+        }
+        image
+    }
+
+    #[test]
+    fn every_number_of_the_pixels_is_that_of_the_file() {
+        let image = frame();
+        let provenance = femc_film::Provenance { error: image.error(), ..Default::default() };
+        let file = exr::encode(&image, &provenance).unwrap();
+        let sent = of_exr(&file).unwrap();
+        assert_eq!(sent, of_frame(&image), "a frame in work has the same numbers");
+        let planes = read(&sent);
+        assert_eq!(planes.keys().collect::<Vec<_>>(), ["B", "G", "R", "Y", "error", "freedom", "samples", "standard_error"]);
+        let channels = exr::Channels::decode(Cursor::new(&file)).unwrap();
+        let of_file = |name: &str, at: usize| f64::from(channels.get(name).unwrap()[at]);
+        let luminance = |at: usize| {
+            0.212_639 * of_file("R", at) + 0.715_168_7 * of_file("G", at) + 0.072_192_32 * of_file("B", at)
+        };
+        let is_lit = |at: usize| luminance(at) > 0.0 && of_file("samples.Y", at) >= 2.0;
+        let mut unlit = 0;
+        for at in 0..800 {
+            // Pool of the neighbors, written down anew.
+            let (x, y) = ((at % 40) as i32, (at / 40) as i32);
+            let (mut sum, mut pool) = (0.0, 0.0);
+            for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
+                let there = (0..40).contains(&(x + dx)) && (0..20).contains(&(y + dy));
+                let near = ((y + dy) * 40 + x + dx) as usize;
+                if there && is_lit(near) {
+                    sum += of_file("variance.Y", near) * of_file("samples.Y", near) / luminance(near);
+                    pool += 1.0;
+                }
+            }
+            let standard_error = (sum / pool * luminance(at) / of_file("samples.Y", at)).sqrt() / luminance(at);
+            let own = |value: f64| if is_lit(at) { value } else { -1.0 };
+            unlit += usize::from(!is_lit(at));
+            for (name, due) in [
+                ("R", of_file("R", at)),
+                ("G", of_file("G", at)),
+                ("B", of_file("B", at)),
+                ("Y", luminance(at)),
+                ("error", of_file("relative_error.Y", at)),
+                ("standard_error", own(standard_error)),
+                ("freedom", own(pool)),
+                ("samples", of_file("samples.Y", at)),
+            ] {
+                let due = due.min(65504.0);
+                let is = f64::from(planes[name][at]);
+                // Half a unit in the last place of a half float, and the rounding of single precision.
+                assert!((is - due).abs() <= due.abs() * 5e-4 + 1e-7, "{name} at {x}, {y}: {is}, not {due}");
+            }
+        }
+        assert!((200..600).contains(&unlit), "{unlit}");
     }
 }

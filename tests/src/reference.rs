@@ -79,6 +79,11 @@ impl Reference {
         Self::new(["A", "B"].map(half))
     }
 
+    /// Luminance of pixel number `at`, cd/m2.
+    pub fn pixel_luminance(&self, at: usize) -> f64 {
+        self.estimate(|image| f64::from(image.luminance(at))).0
+    }
+
     /// Mean of the halves and its variance.
     fn estimate(&self, value: impl Fn(&Image) -> f64) -> (f64, f64) {
         let [a, b] = [0, 1].map(|half| value(&self.halves[half]));

@@ -96,8 +96,8 @@ fn a_page_sees_a_job_from_its_submission_to_its_picture_and_steers_it() {
     assert_eq!((again.status, again.body.len()), (304, 0));
     let pixels = get(&address, &format!("jobs/{job}/frames/2/pixels"));
     assert_eq!((pixels.status, &pixels.body[..4]), (200, &b"FMXC"[..]));
-    let head = 20 + 5 * 4 + "RGBYerrorsamples".len() + 4;
-    assert_eq!(pixels.body.len(), head + 6 * 2 * 32 * 32);
+    let head = 20 + 8 * 4 + "RGBYerrorstandard_errorfreedomsamples".len();
+    assert_eq!(pixels.body.len(), head + 8 * 2 * 32 * 32);
     let drained = ask(&address, "POST /api/v1/workers/drain", &CHANGE, "{\"workers\":[\"w1\"],\"action\":\"begin\"}");
     assert_eq!(drained.json()["done"].as_array().expect("sessions").len(), 1);
     let lines = get(&address, "audit?count=5").json();

@@ -21,6 +21,7 @@ pub mod layers;
 pub mod metrics;
 pub mod picture;
 pub mod piece;
+pub mod pixel_error;
 pub mod rect;
 pub mod sample;
 pub mod sheet;
@@ -42,6 +43,7 @@ pub use layers::{LayerImage, LayerPiece, LayerTile, LightBuffer, LightSums, Take
 pub use metrics::{Comparison, compare};
 pub use picture::{Picture, contact_sheet};
 pub use piece::Piece;
+pub use pixel_error::{PixelChannels, PixelError, pixel_errors};
 pub use rect::{Rect, Tiling};
 pub use sample::{BadKind, BadSample, BadSamples, Sample};
 pub use sheet::{SheetCell, SheetRow, labelled_sheet};

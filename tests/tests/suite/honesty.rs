@@ -2,11 +2,11 @@
 //!
 //! The long ones, of many seeds: `cargo run --release -p femc-tests --example honesty`.
 
-use femc_film::{Rect, Sample, Tile, Tiling};
+use femc_film::{FrameImage, PixelChannels, Rect, Sample, Tile, Tiling, pixel_errors};
 use femc_math::{Rgb, hash};
 use femc_pipeline::{Settings, Stop};
 use femc_tests::honesty::{Experiment, Measured, Rule, Verdict, frame};
-use femc_tests::reference::{Reference, rooms};
+use femc_tests::reference::{ROOMS, Reference, rooms};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -66,4 +66,59 @@ fn claimed_errors_are_the_true_ones_and_intervals_hold_what_is_true() {
     let coverage = Measured::mean(&covered).value;
     // Of some 400 intervals.
     assert!((0.91..0.99).contains(&coverage), "{covered:?}");
+}
+
+/// Pixels of images whose interval holds the reference's luminance.
+#[derive(Debug, Default)]
+struct Coverage {
+    lit: usize,
+    held: usize,
+    unlit: usize,
+    /// Pixels with an interval of 1.96 times the error of their block to either side.
+    held_by_block: usize,
+}
+
+impl Coverage {
+    fn add(&mut self, image: &FrameImage, reference: &Reference) {
+        let width = image.color.width as usize;
+        let luminance: Vec<f32> = (0..image.color.pixels.len()).map(|at| image.color.luminance(at)).collect();
+        let samples: Vec<f32> = image.samples.iter().map(|&samples| samples as f32).collect();
+        let variance = &image.luminance_variance;
+        let errors = pixel_errors(PixelChannels { width, luminance: &luminance, variance, samples: &samples });
+        let blocks = femc_film::exr::errors(&image.error(), image);
+        for (at, error) in errors.iter().enumerate() {
+            let Some(error) = error else {
+                self.unlit += 1;
+                continue;
+            };
+            let distance = (reference.pixel_luminance(at) / f64::from(luminance[at]) - 1.0).abs();
+            self.lit += 1;
+            self.held += usize::from(distance <= error.half_width());
+            self.held_by_block += usize::from(distance <= 1.96 * f64::from(blocks[at]));
+        }
+    }
+
+    fn share(&self, held: usize) -> f64 {
+        held as f64 / self.lit as f64
+    }
+}
+
+#[test]
+fn intervals_of_pixels_hold_the_truth_in_ninety_to_ninety_seven_of_a_hundred() {
+    for name in ROOMS {
+        let scene =
+            femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|error| panic!("{error}")).scene;
+        let settings = Settings { stop: Stop::Spp(64), ..Settings::default() };
+        let experiment = Experiment::new(&Arc::new(scene), settings).unwrap();
+        let reference = Reference::read(&rooms(), name);
+        let mut coverage = Coverage::default();
+        for seed in 1..=8 {
+            coverage.add(&experiment.shot(seed, Rule::Settings).image, &reference);
+        }
+        let (own, block) = (coverage.share(coverage.held), coverage.share(coverage.held_by_block));
+        println!("{name}: {own:.3} of {} lit pixels, {} unlit; by the block's error {block:.3}", coverage.lit, coverage.unlit);
+        assert!((0.90..=0.97).contains(&own), "{name}: {own}");
+        assert!(block < 0.5, "{name}: the block's error is no pixel's: {block}");
+        assert!(coverage.lit > 1000, "{name}: {coverage:?}");
+    }
 }

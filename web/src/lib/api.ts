@@ -5,6 +5,8 @@ import { decodePixels, type Pixels } from './pixels';
 
 const BASE = '/api/v1';
 const FRAME_WINDOW = 10_000;
+/** Most jobs of a request that the coordinator takes. */
+export const MOST_JOBS = 1000;
 
 /** What the coordinator answered instead, or that it did not answer (`status` 0). */
 export class ApiError extends Error {
@@ -46,7 +48,9 @@ async function ask(path: string, init: RequestInit = {}): Promise<Response> {
     answer = await fetch(path, { credentials: 'same-origin', ...init });
   } catch (error) {
     if (init.signal?.aborted) throw error;
-    throw new ApiError(0, 'unreachable', 'the coordinator does not answer', 'the page tries again by itself');
+    const change = 'the page does not send it again: see what has changed once it is live, and repeat it then';
+    const help = init.method === 'POST' ? change : 'the page tries again by itself';
+    throw new ApiError(0, 'unreachable', 'the coordinator does not answer', help);
   }
   if (!answer.ok) throw await failure(answer);
   return answer;
@@ -129,8 +133,24 @@ export const api = {
     return { pixels: decodePixels(await answer.arrayBuffer()), etag: answer.headers.get('ETag') };
   },
 
-  control: (jobs: number[], action: JobAction, more: { priority?: number; frames?: number[] } = {}) =>
-    post<Done<number>>('/jobs/control', { jobs, action, ...more }),
+  /** Steers jobs, in as many requests as they need: after one that fails, the others are not sent. */
+  async control(jobs: number[], action: JobAction, more: { priority?: number; frames?: number[] } = {}) {
+    const all: Done<number> = { done: [], refused: [] };
+    for (let at = 0; at < jobs.length; at += MOST_JOBS) {
+      const part = jobs.slice(at, at + MOST_JOBS);
+      try {
+        const { done, refused } = await post<Done<number>>('/jobs/control', { jobs: part, action, ...more });
+        all.done.push(...done);
+        all.refused.push(...refused);
+      } catch (error) {
+        if (at === 0) throw error;
+        const { code, message } = error instanceof ApiError ? error : { code: 'unknown', message: explain(error) };
+        all.refused.push(...jobs.slice(at).map((job) => ({ job, code, message })));
+        break;
+      }
+    }
+    return all;
+  },
   drain: (workers: (number | string)[], action: 'begin' | 'undo') =>
     post<Done<number | string>>('/workers/drain', { workers, action }),
   audit: async (count: number, signal?: AbortSignal) =>

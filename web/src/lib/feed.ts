@@ -117,7 +117,8 @@ export type Connection =
   | { state: 'denied'; why: string };
 
 export interface Watcher {
-  farm(state: FarmState): void;
+  /** - `delta`: null, if the state comes from a snapshot. */
+  farm(state: FarmState, delta: Delta | null): void;
   connection(connection: Connection): void;
 }
 
@@ -128,7 +129,6 @@ const LONGEST_WAIT_MS = 5_000;
 
 /** Follows the feed until it is stopped. */
 export class Feed {
-  private state = EMPTY;
   private stopped = false;
   private abort = new AbortController();
   private hurry: (() => void) | null = null;
@@ -138,6 +138,8 @@ export class Feed {
     private readonly watcher: Watcher,
     private readonly request: typeof fetch = (...args) => fetch(...args),
     private readonly now: () => number = Date.now,
+    /** What is known already: the first connection asks for the changes since then. */
+    private state: FarmState = EMPTY,
   ) {}
 
   /** Connects, and connects again; returns when stopped or denied. */
@@ -219,9 +221,9 @@ export class Feed {
   }
 
   private on({ event, data }: FeedEvent): void {
-    if (event === 'snapshot') this.state = fromSnapshot(JSON.parse(data) as Snapshot);
-    else if (event === 'delta') this.state = join(this.state, JSON.parse(data) as Delta);
-    else return;
-    this.watcher.farm(this.state);
+    if (event !== 'snapshot' && event !== 'delta') return;
+    const delta = event === 'delta' ? (JSON.parse(data) as Delta) : null;
+    this.state = delta ? join(this.state, delta) : fromSnapshot(JSON.parse(data) as Snapshot);
+    this.watcher.farm(this.state, delta);
   }
 }

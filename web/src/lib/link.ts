@@ -1,6 +1,6 @@
 /** Links within the pages: a click changes the view, a click with a modifier opens a tab as everywhere. */
 
-import { parsePath, parseQuery } from './route';
+import { parseAddress, parsePath } from './route';
 import { views } from './stores.svelte';
 
 /** A Svelte action for `<a href>`. */
@@ -16,7 +16,7 @@ export function link(node: HTMLAnchorElement) {
     )
       return;
     event.preventDefault();
-    views.go(parsePath(node.pathname), parseQuery(node.search));
+    views.go(parsePath(node.pathname), parseAddress(node));
   };
   node.addEventListener('click', onclick);
   return { destroy: () => node.removeEventListener('click', onclick) };

@@ -8,14 +8,15 @@ import { place, spread, valueAt, type Scale } from './scale';
 /** What light statistics know of pixels. */
 export const MAPS = ['deviation', 'depth', 'throughput'] as const;
 export type Mapped = (typeof MAPS)[number];
-export type Show = 'picture' | 'luminance' | 'error' | 'samples' | Mapped | 'difference';
+export type Show = 'picture' | 'luminance' | 'pixel-error' | 'error' | 'samples' | Mapped | 'difference';
 
 export const isMapped = (show: Show): show is Mapped => (MAPS as readonly string[]).includes(show);
 
 /** What is measured: name, unit, channel. */
 export const MEASURES: Record<Exclude<Show, 'picture'>, { title: string; unit: string; channel: string }> = {
   luminance: { title: 'Luminance', unit: 'cd/m²', channel: 'Y' },
-  error: { title: 'Error', unit: 'relative standard error', channel: 'error' },
+  'pixel-error': { title: 'Pixel error', unit: 'standard error of the pixel, relative', channel: 'standard_error' },
+  error: { title: 'Block error', unit: '95 % interval of the block of 16 × 16, ± relative', channel: 'error' },
   samples: { title: 'Samples', unit: 'samples a pixel', channel: 'samples' },
   deviation: { title: 'Deviation', unit: 'cd/m², standard deviation of a sample', channel: 'deviation' },
   depth: { title: 'Depth', unit: 'intersections of a path', channel: 'depth' },

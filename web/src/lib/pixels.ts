@@ -5,7 +5,7 @@ import { halves } from './half';
 export const MAGIC = 0x43584d46;
 const NOT_A_NUMBER = 0x7e00;
 /** Channels of which there may be no value. */
-const UNKNOWN = new Set(['error', 'depth', 'throughput', 'deviation']);
+const UNKNOWN = new Set(['error', 'standard_error', 'freedom', 'depth', 'throughput', 'deviation']);
 
 /** A frame's pixels: planes of half floats, row after row from the top left. */
 export class Pixels {

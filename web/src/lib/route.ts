@@ -58,6 +58,23 @@ export function formatQuery(query: Query): string {
   return text ? `?${text}` : '';
 }
 
+/** Longest value of a query: addresses of more than some kilobytes are refused on their way to the coordinator. */
+const LONGEST_VALUE = 1500;
+
+/** The end of an address, from `?` on: long values, such as thousands of jobs, are in its fragment, which is not sent. */
+export function formatAddress(query: Query): string {
+  const isLong = ([, value]: [string, string]) => value.length > LONGEST_VALUE;
+  const all = Object.entries(query);
+  const [short, long] = [all.filter((it) => !isLong(it)), all.filter(isLong)];
+  return formatQuery(Object.fromEntries(short)) + formatQuery(Object.fromEntries(long)).replace('?', '#');
+}
+
+/** The values of an address. */
+export const parseAddress = ({ search, hash }: { search: string; hash: string }): Query => ({
+  ...parseQuery(search),
+  ...parseQuery(hash.replace('#', '?')),
+});
+
 /** `query` with some values changed; null and the empty text remove one. */
 export function withValues(query: Query, values: Record<string, string | number | null | undefined>): Query {
   const next: Record<string, string> = { ...query };

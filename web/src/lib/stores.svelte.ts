@@ -1,21 +1,22 @@
 /** The pages' shared state: the farm, what is looked at, what is selected, and how this browser likes it. */
 
 import { api, ApiError, explain } from './api';
-import { EMPTY, Feed, type Connection, type FarmState } from './feed';
+import { EMPTY, type Connection, type FarmState } from './feed';
 import { formatLasso, parseLasso, simplify, type Point } from './lasso';
 import { refusal, type Right } from './rights';
 import {
+  formatAddress,
   formatNumbers,
-  formatQuery,
+  parseAddress,
   parseNumbers,
   parsePath,
-  parseQuery,
   pathOf,
   withValues,
   type JobTab,
   type Query,
   type Route,
 } from './route';
+import { Subscription } from './subscription';
 import type { Me } from './types';
 
 /** The store of views: which page, with which settings. The address bar has the same, letter by letter. */
@@ -34,7 +35,7 @@ class Views {
     clearTimeout(this.timer);
     this.timer = undefined;
     this.route = parsePath(location.pathname);
-    this.query = parseQuery(location.search);
+    this.query = parseAddress(location);
   }
 
   /** Goes to a page; the way back is kept. */
@@ -42,7 +43,7 @@ class Views {
     if (this.timer !== undefined) this.write();
     this.query = withValues({}, query);
     this.route = route;
-    history.pushState(null, '', pathOf(route) + formatQuery(this.query));
+    history.pushState(null, '', pathOf(route) + formatAddress(this.query));
     scrollTo(0, 0);
   }
 
@@ -65,7 +66,7 @@ class Views {
   private write() {
     clearTimeout(this.timer);
     this.timer = undefined;
-    history.replaceState(null, '', pathOf(this.route) + formatQuery(this.query));
+    history.replaceState(null, '', pathOf(this.route) + formatAddress(this.query));
   }
 }
 
@@ -117,35 +118,39 @@ class Farm {
   me = $state.raw<Me | null>(null);
   /** Whether a snapshot has come. */
   known = $derived(this.state.seq !== null);
-  private feed: Feed | null = null;
+  private readonly feed = new Subscription({
+    farm: (state) => (this.state = state),
+    connection: (connection) => {
+      const before = this.connection.state;
+      this.connection = connection;
+      if (connection.state === 'denied') this.denied();
+      // After a restart the coordinator may be another version, and ask other things.
+      else if (connection.state === 'live' && before !== 'live') void this.identify();
+    },
+  });
 
   /** Asks who we are, and follows the feed. */
   start() {
-    this.feed?.stop();
+    this.feed.start();
+  }
+
+  /** Connects anew after the user has signed in or out. */
+  restart() {
     this.connection = { state: 'connecting' };
-    this.feed = new Feed({
-      farm: (state) => (this.state = state),
-      connection: (connection) => {
-        const before = this.connection.state;
-        this.connection = connection;
-        if (connection.state === 'denied') this.denied();
-        // After a restart the coordinator may be another version, and ask other things.
-        else if (connection.state === 'live' && before !== 'live') void this.identify();
-      },
-    });
-    void this.feed.run();
+    this.state = EMPTY;
+    this.feed.restart();
   }
 
   /** Connects again at once, where the connection is lost. */
   again() {
-    this.feed?.again();
+    this.feed.again();
   }
 
   private denied() {
     this.me = null;
     this.state = EMPTY;
     if (views.route.page !== 'login') {
-      const from = location.pathname + location.search;
+      const from = location.pathname + location.search + location.hash;
       views.go({ page: 'login' }, { from: from === '/' ? null : from });
     }
   }

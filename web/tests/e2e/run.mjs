@@ -10,6 +10,9 @@ import { join } from 'node:path';
 import axe from 'axe-core';
 import { chromium } from 'playwright-core';
 import { Farm, pause, until } from './farm.mjs';
+import { hands } from './hands.mjs';
+import { numbers } from './numbers.mjs';
+import { tabs } from './tabs.mjs';
 
 const args = process.argv.slice(2);
 const shotsAt = args.includes('--shots') ? args.splice(args.indexOf('--shots'), 2)[1] : null;
@@ -25,6 +28,8 @@ const equal = (is, due, what) =>
 
 const browser = await chromium.launch({
   executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium',
+  // Browsers of people keep pages for the way back.
+  ignoreDefaultArgs: ['--disable-back-forward-cache'],
   args: [
     '--no-sandbox',
     '--disable-gpu',
@@ -42,11 +47,12 @@ const browser = await chromium.launch({
  */
 const faults = [];
 
-async function open(farm, { dark = false } = {}) {
+async function open(farm, { dark = false, ...more } = {}) {
   const context = await browser.newContext({
     viewport: { width: 1360, height: 800 },
     colorScheme: dark ? 'dark' : 'light',
     baseURL: farm.url,
+    ...more,
   });
   const page = await context.newPage();
   page.on('pageerror', (error) => faults.push(`error of a script: ${error.message}`));
@@ -63,7 +69,7 @@ async function open(farm, { dark = false } = {}) {
 }
 
 async function step(name, run) {
-  if (!name.includes(only) && !name.startsWith('begin')) return;
+  if (!name.includes(only) && !name.startsWith('begin') && !(only === 'numbers' && name.startsWith('heat'))) return;
   const began = Date.now();
   try {
     await run();
@@ -270,7 +276,8 @@ await step('picture: exposure, false color, error, samples, difference, split, a
   await current.getByRole('button', { name: 'Automatic' }).click();
   for (const [name, unit] of [
     ['Luminance', 'cd/m²'],
-    ['Error', 'relative standard error'],
+    ['Pixel error', 'standard error of the pixel'],
+    ['Block error', '95 % interval of the block'],
     ['Samples', 'samples a pixel'],
   ]) {
     await current.getByRole('button', { name, exact: true }).click();
@@ -323,7 +330,7 @@ await step('frames: those that are selected are tried again', async () => {
   claim(farm.damage(image), `the image ${image} lies in the store`);
   await visit(`/jobs/${jobs.drive}?frames=3`);
   await current.getByText('1 frame selected').waitFor();
-  await current.getByRole('button', { name: 'Retry', exact: true }).last().click();
+  await current.getByRole('button', { name: 'Check images', exact: true }).click();
   await current.getByText('1 frame tried again: 3').waitFor();
   equal((await outputs(4)).state, 'done', 'frame 4');
   await until(async () => (await outputs(3)).state === 'done', 'frame 3 is rendered again', 120);
@@ -437,6 +444,12 @@ await step('logs and settings', async () => {
   await current.getByText('128 × 72 pixels', { exact: false }).waitFor();
   await accessible('settings');
 });
+
+await numbers({ step, claim, equal, farm, jobs, page: () => current, visit });
+
+await hands({ step, open, claim, equal, farm, jobs, shotsAt });
+
+await tabs({ step, open, claim, equal, farm, jobs });
 
 await step('workers: drained, taken back, killed while the page is open', async () => {
   await visit('/workers');

@@ -31,3 +31,26 @@ test('a coordinator that is not there is said to be so', async () => {
   vi.stubGlobal('fetch', async () => Promise.reject(new TypeError('failed to fetch')));
   await expect(api.me()).rejects.toThrow('the coordinator does not answer');
 });
+
+test('more jobs than a request may have are steered in several requests, and what fails is told job by job', async () => {
+  const asked: number[][] = [];
+  let left = 2;
+  vi.stubGlobal('fetch', async (_: string, init: RequestInit) => {
+    const { jobs } = JSON.parse(init.body as string) as { jobs: number[] };
+    if (left-- === 0) throw new TypeError('failed to fetch');
+    asked.push(jobs);
+    return new Response(JSON.stringify({ done: jobs.slice(1), refused: [{ job: jobs[0], code: 'x', message: 'no' }] }));
+  });
+  const numbers = Array.from({ length: 2500 }, (_, i) => i + 1);
+  const { done, refused } = await api.control(numbers, 'pause');
+  expect(asked.map((jobs) => jobs.length)).toEqual([1000, 1000]);
+  expect([done.length, refused.length]).toEqual([1998, 502]);
+  expect([...done, ...refused.map((it) => it.job!)].sort((a, b) => a - b)).toEqual(numbers);
+  expect(refused.at(-1)!.message).toBe('the coordinator does not answer');
+});
+
+test('a change that was not delivered is not said to be repeated', async () => {
+  vi.stubGlobal('fetch', async () => Promise.reject(new TypeError('failed to fetch')));
+  const error = await api.control([1], 'pause').catch((it: unknown) => it);
+  expect(explain(error)).toContain('does not send it again');
+});

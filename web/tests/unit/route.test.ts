@@ -1,7 +1,9 @@
 import { describe, expect, test } from 'vitest';
 import {
+  formatAddress,
   formatNumbers,
   formatQuery,
+  parseAddress,
   parseNumbers,
   parsePath,
   parseQuery,
@@ -55,5 +57,19 @@ describe('numbers', () => {
     expect(parseNumbers('x,3,,5..4,-2, 8')).toEqual([3, 8]);
     expect(parseNumbers(undefined)).toEqual([]);
     expect(parseNumbers('1..9999999999').length).toBe(1 << 20);
+  });
+});
+
+describe('long addresses', () => {
+  test('thousands of jobs come back from an address, of which little is sent', () => {
+    const query = { filter: 'owner:ann', jobs: formatNumbers(Array.from({ length: 3000 }, (_, i) => 2 * i + 1)) };
+    const url = new URL(`http://farm/jobs${formatAddress(query)}`);
+    expect(url.search).toBe('?filter=owner:ann');
+    expect(parseAddress(url)).toEqual(query);
+    expect(parseNumbers(parseAddress(url).jobs).length).toBe(3000);
+  });
+  test('a short selection stays in the query', () => {
+    expect(formatAddress({ jobs: '1..2000' })).toBe('?jobs=1..2000');
+    expect(formatAddress({})).toBe('');
   });
 });

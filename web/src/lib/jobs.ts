@@ -18,6 +18,9 @@ export type SortKey =
   | 'rate'
   | 'error';
 
+/** Unix seconds. Jobs that were submitted to an older coordinator have the farm's clock alone, which stands still in outages. */
+export const submissionDate = (job: Job): number | null => job.submitted_date ?? job.submitted;
+
 const STATE_ORDER = ['running', 'queued', 'paused', 'failed', 'done', 'cancelled'];
 
 const KEYS: Record<SortKey, (job: Job) => number | string> = {
@@ -28,7 +31,7 @@ const KEYS: Record<SortKey, (job: Job) => number | string> = {
   left: (job) => secondsLeft(job) ?? Infinity,
   frames: (job) => job.frames,
   time: (job) => job.seconds,
-  age: (job) => -(job.submitted ?? Infinity),
+  age: (job) => -(submissionDate(job) ?? Infinity),
   owner: (job) => job.owner.toLowerCase(),
   priority: (job) => job.priority,
   workers: (job) => job.workers,

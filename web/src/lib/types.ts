@@ -6,6 +6,7 @@
 
 export type JobState = 'queued' | 'running' | 'paused' | 'done' | 'failed' | 'cancelled';
 export type FrameState = 'waiting' | 'running' | 'done' | 'failed';
+export type TaskState = FrameState | 'queued';
 export type Role = 'viewer' | 'submitter' | 'operator' | 'admin';
 
 /** A frame in work; `frame` 0 stands for the job's own stages. */
@@ -55,6 +56,7 @@ export interface Job {
   seconds: number;
   /** Unix seconds, by the farm's clock. */
   submitted: number | null;
+  submitted_date: number | null;
   workers: number;
   failure: string | null;
   active: ActiveFrame[];
@@ -149,7 +151,7 @@ export interface Task {
   frame: number;
   stage: string;
   index: number;
-  state: string;
+  state: TaskState;
   /** Of the stage. */
   number: number;
   round: number;

@@ -17,6 +17,7 @@ export const job = (number: number, more: Partial<Job> = {}): Job => ({
   relative_error: null,
   seconds: 10,
   submitted: null,
+  submitted_date: null,
   workers: 1,
   failure: null,
   active: [],

@@ -40,7 +40,12 @@ describe('order and groups', () => {
     expect(parseOrder('nonsense')).toEqual({ key: 'job', descending: true });
   });
   test('by age: the one submitted last is the youngest, and so counts one of which nobody knows', () => {
-    const aged = [job(1, { submitted: 10 }), job(2, { submitted: 30 }), job(3), job(4, { submitted: 20 })];
+    const aged = [
+      job(1, { submitted: 10 }),
+      job(2, { submitted: 5, submitted_date: 30 }),
+      job(3),
+      job(4, { submitted: 20 }),
+    ];
     expect(sorted(aged, parseOrder('age')).map((it) => it.job)).toEqual([3, 2, 4, 1]);
     expect(sorted(aged, parseOrder('-age')).map((it) => it.job)).toEqual([1, 4, 2, 3]);
   });

@@ -170,7 +170,7 @@ impl Reader<'_> {
             b"p" | b"n" | b"uv" => self.vertices.mark_faulty(),
             b"cxy" | b"cspec" | b"cct" | b"cmix" | b"crgb" => self.colors.mark_faulty(),
             b"origin" | b"target" | b"up" | b"fov" | b"film" | b"lens" | b"shutter" | b"along" => {
-                self.cameras.mark_faulty()
+                self.cameras.mark_faulty();
             }
             b"key" => self.faulty_paths.extend(self.path),
             _ => {}

@@ -188,9 +188,9 @@ mod tests {
             |at: usize| 0.212_639 * of_file("R", at) + 0.715_168_7 * of_file("G", at) + 0.072_192_32 * of_file("B", at);
         let is_lit = |at: usize| luminance(at) > 0.0 && of_file("samples.Y", at) >= 2.0;
         let mut unlit = 0;
-        for at in 0..800 {
+        for (x, y) in (0..20).flat_map(|y| (0..40).map(move |x| (x, y))) {
             // Pool of the neighbors, written down anew.
-            let (x, y) = ((at % 40) as i32, (at / 40) as i32);
+            let at = (y * 40 + x) as usize;
             let (mut sum, mut pool) = (0.0, 0.0);
             for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
                 let there = (0..40).contains(&(x + dx)) && (0..20).contains(&(y + dy));

@@ -88,6 +88,8 @@ export async function hands({ step, open, claim, equal, farm, jobs, shotsAt }) {
       await live(page, `/jobs/${jobs.drive}`);
       await page.locator('#frame-2').tap();
       await until(() => query('frames') === '2', 'a tap selects a frame', 5);
+      await page.locator('#frame-4').tap();
+      await until(() => query('frames') === '2,4', 'another tap adds a frame', 5);
       await live(page, '/jobs');
       await page.getByLabel(`Select job ${jobs.drive}`).tap();
       await page.getByText('1 job selected').waitFor();

@@ -123,8 +123,10 @@ mod tests {
     fn a_standard_error_survives_half_floats_where_its_variance_would_not() {
         let image = Image { width: 1, height: 1, pixels: vec![[1e-4; 3]] };
         let bytes = encode(&image, &[0.5], &[1e-12], &[4.0]);
-        let halves: Vec<f32> =
-            bytes[bytes.len() - 16..].chunks(2).map(|half| f16::from_le_bytes(half.try_into().unwrap()).to_f32()).collect();
+        let halves: Vec<f32> = bytes[bytes.len() - 16..]
+            .chunks(2)
+            .map(|half| f16::from_le_bytes(half.try_into().unwrap()).to_f32())
+            .collect();
         assert!((halves[5] / 0.01 - 1.0).abs() < 1e-3, "{halves:?}");
         assert_eq!(f16::from_f32(1e-12).to_f32(), 0.0);
     }
@@ -153,7 +155,13 @@ mod tests {
             let word = (at as u32).wrapping_mul(2_654_435_761) >> 8;
             let light = if x > 35 || word.is_multiple_of(11) { 0.0 } else { (word % 1000) as f32 * 0.01 + 0.001 };
             image.color.pixels[at] = [light, 0.5 * light, 2.0 * light];
-            image.samples[at] = if y < 4 { 0 } else if x < 16 { 64 } else { 8 };
+            image.samples[at] = if y < 4 {
+                0
+            } else if x < 16 {
+                64
+            } else {
+                8
+            };
             image.luminance_variance[at] = light * (word % 97) as f32 * 1e-4;
             if image.samples[at] == 0 {
                 (image.color.pixels[at], image.luminance_variance[at]) = ([0.0; 3], 0.0);
@@ -170,12 +178,14 @@ mod tests {
         let sent = of_exr(&file).unwrap();
         assert_eq!(sent, of_frame(&image), "a frame in work has the same numbers");
         let planes = read(&sent);
-        assert_eq!(planes.keys().collect::<Vec<_>>(), ["B", "G", "R", "Y", "error", "freedom", "samples", "standard_error"]);
+        assert_eq!(
+            planes.keys().collect::<Vec<_>>(),
+            ["B", "G", "R", "Y", "error", "freedom", "samples", "standard_error"]
+        );
         let channels = exr::Channels::decode(Cursor::new(&file)).unwrap();
         let of_file = |name: &str, at: usize| f64::from(channels.get(name).unwrap()[at]);
-        let luminance = |at: usize| {
-            0.212_639 * of_file("R", at) + 0.715_168_7 * of_file("G", at) + 0.072_192_32 * of_file("B", at)
-        };
+        let luminance =
+            |at: usize| 0.212_639 * of_file("R", at) + 0.715_168_7 * of_file("G", at) + 0.072_192_32 * of_file("B", at);
         let is_lit = |at: usize| luminance(at) > 0.0 && of_file("samples.Y", at) >= 2.0;
         let mut unlit = 0;
         for at in 0..800 {

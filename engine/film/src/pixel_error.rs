@@ -46,8 +46,10 @@ pub fn pixel_errors(channels: PixelChannels<'_>) -> Vec<Option<PixelError>> {
     let error = |at: usize| {
         let (x, y) = (at % width, at / width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
-        let pool = rows.flat_map(|row| (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column));
-        let (sum, freedom) = pool.filter(|&at| is_known(at)).fold((0.0, 0), |(sum, n), at| (sum + dispersion(at), n + 1));
+        let pool =
+            rows.flat_map(|row| (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column));
+        let (sum, freedom) =
+            pool.filter(|&at| is_known(at)).fold((0.0, 0), |(sum, n), at| (sum + dispersion(at), n + 1));
         let square = sum / f64::from(freedom) / (f64::from(samples[at]) * f64::from(luminance[at]));
         PixelError { standard_error: square.sqrt(), freedom }
     };
@@ -78,7 +80,10 @@ mod tests {
         let all = errors(2, &[1.0, 9.0], &[0.01, 0.0225], &[16.0, 64.0]);
         let [left, right] = [all[0].unwrap(), all[1].unwrap()];
         assert_eq!((left.freedom, right.freedom), (2, 2));
-        assert!((left.standard_error - 0.1).abs() < 1e-7 && (right.standard_error - 0.15 / 9.0).abs() < 1e-8, "{all:?}");
+        assert!(
+            (left.standard_error - 0.1).abs() < 1e-7 && (right.standard_error - 0.15 / 9.0).abs() < 1e-8,
+            "{all:?}"
+        );
     }
 
     #[test]

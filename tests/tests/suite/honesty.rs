@@ -106,8 +106,9 @@ impl Coverage {
 #[test]
 fn intervals_of_pixels_hold_the_truth_in_ninety_to_ninety_seven_of_a_hundred() {
     for name in ROOMS {
-        let scene =
-            femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|error| panic!("{error}")).scene;
+        let scene = femc_import::load_path(&rooms().join(format!("{name}.mgf")))
+            .unwrap_or_else(|error| panic!("{error}"))
+            .scene;
         let settings = Settings { stop: Stop::Spp(64), ..Settings::default() };
         let experiment = Experiment::new(&Arc::new(scene), settings).unwrap();
         let reference = Reference::read(&rooms(), name);
@@ -116,7 +117,10 @@ fn intervals_of_pixels_hold_the_truth_in_ninety_to_ninety_seven_of_a_hundred() {
             coverage.add(&experiment.shot(seed, Rule::Settings).image, &reference);
         }
         let (own, block) = (coverage.share(coverage.held), coverage.share(coverage.held_by_block));
-        println!("{name}: {own:.3} of {} lit pixels, {} unlit; by the block's error {block:.3}", coverage.lit, coverage.unlit);
+        println!(
+            "{name}: {own:.3} of {} lit pixels, {} unlit; by the block's error {block:.3}",
+            coverage.lit, coverage.unlit
+        );
         assert!((0.90..=0.97).contains(&own), "{name}: {own}");
         assert!(block < 0.5, "{name}: the block's error is no pixel's: {block}");
         assert!(coverage.lit > 1000, "{name}: {coverage:?}");

@@ -62,7 +62,8 @@ mod tests {
     #[test]
     fn the_pages_know_all_kinds_of_tasks_and_no_others() {
         let source = include_str!("../../../../web/src/lib/kinds.ts");
-        let list = source.split_once("KINDS = [").and_then(|(_, rest)| rest.split_once(']')).expect("a list of kinds").0;
+        let list =
+            source.split_once("KINDS = [").and_then(|(_, rest)| rest.split_once(']')).expect("a list of kinds").0;
         let mut known: Vec<&str> = list.split('\'').skip(1).step_by(2).collect();
         let mut kinds: Vec<&str> = StageKind::ALL.iter().map(|kind| kind.name()).collect();
         known.sort_unstable();

@@ -59,16 +59,21 @@ impl Scheduler {
     }
 
     /// The logs of attempts at a job's tasks, and at those of what it shares with others, that were reported since then, oldest first;
-    /// the latest, where they are very many.
+    /// where they are very many, all that are stored and the latest of the others.
     pub fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Refusal> {
         /// Most records of one answer.
         const MOST: usize = 2048;
         let keys = self.job(job)?.spec.contents.iter().map(|(_, key)| key);
         let shared = keys.flat_map(|key| self.ledger.shared_by(key)).map(|(_, id, _)| id);
         let jobs: BTreeSet<JobId> = shared.chain([job]).collect();
-        let of_tiles = self.logs.records.iter().filter(|record| jobs.contains(&record.task.job));
-        let all = jobs.iter().flat_map(|job| self.ledger.side.logs(*job)).chain(of_tiles);
-        let mut all: Vec<LogRecord> = all.filter(|record| record.at >= since).cloned().collect();
+        let is_new = |record: &&LogRecord| record.at >= since;
+        let in_memory = self.logs.records.iter().filter(|record| jobs.contains(&record.task.job));
+        let in_memory: Vec<&LogRecord> = in_memory.filter(is_new).collect();
+        let mut all: Vec<LogRecord> =
+            jobs.iter().flat_map(|job| self.ledger.side.logs(*job)).filter(is_new).cloned().collect();
+        // Those of failures are not pushed out by many others.
+        let room = MOST.saturating_sub(all.len());
+        all.extend(in_memory[in_memory.len().saturating_sub(room)..].iter().copied().cloned());
         all.sort_by_key(|record| (record.at, record.epoch));
         all.drain(..all.len().saturating_sub(MOST));
         Ok(all)

@@ -27,6 +27,9 @@ impl SideTables {
     /// Most logs of a job.
     const LOGS: usize = 512;
 
+    /// First failures of a job whose logs stay, however many follow: they often tell the cause of the others.
+    const FIRST_FAILURES: usize = 64;
+
     /// Most owners without a job of whom it is remembered what they have used.
     const ABSENT: usize = 4096;
 
@@ -74,14 +77,16 @@ impl SideTables {
         self.builds.get(&job).into_iter().flatten().map(|(&frame, build)| (frame, build.as_str()))
     }
 
-    /// Keeps a log; returns what is named no longer. Logs of failures are kept for longer than others.
+    /// Keeps a log; returns what is named no longer. Logs of attempts that went well go first; of failures the first stay, and the
+    /// latest.
     pub(super) fn log(&mut self, record: &LogRecord) -> Vec<Digest> {
         let logs = self.logs.entry(record.task.job).or_default();
         logs.push_back(record.clone());
         if logs.len() <= Self::LOGS {
             return Vec::new();
         }
-        let oldest = logs.iter().position(|record| record.log.attempt == Attempt::Done).unwrap_or(0);
+        let done = logs.iter().position(|record| record.log.attempt == Attempt::Done);
+        let oldest = done.unwrap_or(Self::FIRST_FAILURES);
         logs.remove(oldest).iter().filter_map(stored).collect()
     }
 

@@ -547,6 +547,29 @@ fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
 }
 
 #[test]
+fn of_very_many_failures_the_first_logs_and_the_latest_are_kept() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[8]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    let mut log = |farm: &mut Farm, number: u32, attempt, text| {
+        let log = TaskLog { attempt, seconds: f64::from(number), text };
+        farm.on(Event::Logged { worker: WorkerId(1), task: held.task, epoch: held.epoch, log });
+    };
+    for number in 0..2_000_u32 {
+        let text = LogText::Stored(Artifact::of(&number.to_le_bytes()));
+        log(&mut farm, number, Attempt::Failed, text);
+    }
+    // Nor do logs of tiles push them out of an answer.
+    (0..3_000).for_each(|number| log(&mut farm, number, Attempt::Done, LogText::Inline("tile".into())));
+    let logs = farm.scheduler.logs(id, Tick(0)).unwrap();
+    let failures = logs.iter().filter(|record| record.log.attempt == Attempt::Failed);
+    let kept: Vec<u32> = failures.map(|record| record.log.seconds as u32).collect();
+    assert_eq!(kept, (0..64).chain(2_000 - 448..2_000).collect::<Vec<u32>>());
+    assert_eq!(logs.len(), 2_048);
+}
+
+#[test]
 fn the_latest_logs_of_tiles_are_kept_many_short_ones_or_as_many_long_ones_as_four_mebibytes_hold() {
     for (length, name, kept) in [(100, "w".repeat(60), 2_048), (64 << 10, "w".into(), 60)] {
         let mut farm = Farm::new();

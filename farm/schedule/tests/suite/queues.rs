@@ -54,10 +54,13 @@ fn a_result_on_its_way_makes_room_for_the_task_behind_the_next() {
     assert_eq!(farm.tasks_of(1).len(), 3);
 }
 
-/// A farm whose two workers have their hands full with long tasks of two owners; one frame is complete but for its last tile.
 #[test]
 fn a_finished_frame_is_put_together_at_once_while_all_workers_compute_for_two_owners() {
-    let mut farm = farm();
+    (0..=2).for_each(frames_are_put_together_at_once);
+}
+
+fn frames_are_put_together_at_once(prefetch: u32) {
+    let mut farm = Farm::with(Config { prefetch, ..farm().scheduler.config().clone() });
     let ann = farm.submit(JobSpec { owner: "ann".into(), ..job(&[1, 2, 3, 4], 2, &[4]) });
     farm.submit(JobSpec { owner: "bob".into(), ..job(&[1, 2, 3, 4], 40, &[4]) });
     (1..=2).for_each(|worker| drop(farm.join(worker)));

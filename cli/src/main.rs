@@ -12,6 +12,7 @@ mod exit;
 mod log;
 mod output;
 mod request;
+mod threads;
 mod values;
 
 use config::{Parsed, Refused};

@@ -211,7 +211,8 @@ impl Cache {
         let key = FrameKey { world: frame_key.light, ..frame_key };
         self.0.frames.get_or((key, None), || {
             let previous = self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
-            let world = femc_pipeline::first_pass_world(&read.source, &read.settings, frame, previous.as_deref());
+            let world = fetch
+                .prepare(|| femc_pipeline::first_pass_world(&read.source, &read.settings, frame, previous.as_deref()));
             let mut world = world.map_err(|error| Failure::Scene { message: error.to_string() })?;
             world.field = None;
             Ok(Arc::new(world))
@@ -231,12 +232,13 @@ impl Cache {
         let same_surfaces = || self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
         let prepared = self.0.frames.get_or((frame_key, light.map(|light| light.digest)), || {
             let previous = same_world().or_else(same_surfaces);
-            let prepared = femc_pipeline::prepare_world(&read.source, &read.settings, frame, previous.as_deref());
+            let prepared = fetch
+                .prepare(|| femc_pipeline::prepare_world(&read.source, &read.settings, frame, previous.as_deref()));
             let mut prepared = prepared.map_err(|error| Failure::Scene { message: error.to_string() })?;
             prepared.field = None;
             if let Some(light) = light {
                 let field = self.field(light, prepared.brightness, client, fetch)?;
-                femc_pipeline::light(&mut prepared, field).map_err(|error| lost(light, &error))?;
+                fetch.prepare(|| femc_pipeline::light(&mut prepared, field)).map_err(|error| lost(light, &error))?;
             }
             Ok(Arc::new(prepared))
         })?;
@@ -246,7 +248,8 @@ impl Cache {
     /// The light of a first pass, as bright as a frame's lamps are.
     fn field(&self, light: Artifact, brightness: f32, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
         self.0.brightened.get_or((light.digest, brightness.to_bits()), || {
-            Ok(femc_pipeline::brightened(self.field_of_one(light, client, fetch)?, brightness))
+            let field = self.field_of_one(light, client, fetch)?;
+            Ok(fetch.prepare(|| femc_pipeline::brightened(field, brightness)))
         })
     }
 
@@ -255,7 +258,7 @@ impl Cache {
             // It is done: its steps are of no use any more.
             self.forget_steps();
             let bytes = fetch.all(client, &[light]).pop().unwrap_or(Err(Failure::Cancelled))?;
-            let (field, _) = Field::decode(&bytes).map_err(|error| lost(light, &error))?;
+            let (field, _) = fetch.prepare(|| Field::decode(&bytes)).map_err(|error| lost(light, &error))?;
             Ok(Arc::new(field))
         })
     }
@@ -290,7 +293,7 @@ impl Cache {
         let settings: Settings = serde_json::from_str(&spec.settings).map_err(|error| unfit(&error))?;
         settings.check().map_err(|error| unfit(&error))?;
         let source = self.source(spec, client, fetch)?;
-        let source = source.variant(&settings.overrides).map_err(|error| unfit(&error))?;
+        let source = fetch.prepare(|| source.variant(&settings.overrides)).map_err(|error| unfit(&error))?;
         Ok(Read { digest: source.scene().digest().to_string(), source, settings, keys: Mutex::default() })
     }
 
@@ -298,7 +301,7 @@ impl Cache {
     fn source(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Source, Failure> {
         self.0.sources.get_or(files_key(spec), || {
             let bundle = fetch_bundle(&spec.bundle, client, fetch, &self.0.pieces)?;
-            let loaded = femc_import::load(&bundle, &spec.entry);
+            let loaded = fetch.prepare(|| femc_import::load(&bundle, &spec.entry));
             let scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
             Ok(Source::new(Arc::new(scene)))
         })

@@ -1,4 +1,5 @@
-//! Artifacts for threads that compute: blocking downloads, and failed calls as failures of a task.
+//! Artifacts for threads that compute: blocking downloads, failed calls as failures of a task, and the pool on which scenes and frames are
+//! prepared from them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,8 +8,11 @@ use std::sync::atomic::Ordering;
 use bytes::Bytes;
 use femc_model::{Artifact, Digest, Failure, Manifest, Refusal};
 use femc_proto::{CallError, Client};
+use rayon::ThreadPool;
 use tokio::runtime::Handle;
+use tracing::Span;
 
+use crate::meter::Doing;
 use crate::table::Task;
 
 /// Most bytes of what a job's `bundle` names: a manifest, or all of a scene from an earlier version.
@@ -37,6 +41,9 @@ pub(crate) fn failure(error: &CallError) -> Failure {
 #[derive(Debug, Clone)]
 pub(crate) struct Fetch {
     way: Way,
+    /// Threads that prepare frames. They are not those that render: a cancelled task that builds a large tree is left behind, and the next
+    /// one renders.
+    pool: Arc<ThreadPool>,
     /// Task that reads these inputs.
     task: Option<Arc<Task>>,
 }
@@ -50,14 +57,14 @@ enum Way {
 }
 
 impl Fetch {
-    /// Downloads when they are needed, on this runtime.
-    pub(crate) fn blocking(runtime: Handle) -> Self {
-        Self { way: Way::Blocking(runtime), task: None }
+    /// Downloads when they are needed, on this runtime; frames are prepared on `pool`.
+    pub(crate) fn blocking(runtime: Handle, pool: Arc<ThreadPool>) -> Self {
+        Self { way: Way::Blocking(runtime), pool, task: None }
     }
 
     /// The same for one task.
     pub(crate) fn of(&self, task: &Arc<Task>) -> Self {
-        Self { way: self.way.clone(), task: Some(task.clone()) }
+        Self { task: Some(task.clone()), ..self.clone() }
     }
 
     /// Counts what comes in as the task's.
@@ -65,6 +72,17 @@ impl Fetch {
         if let Some(task) = &self.task {
             task.account.fetched.fetch_add(bytes as u64, Ordering::Relaxed);
         }
+    }
+
+    /// Prepares something on the pool. Outside of a pool, rayon would start one of its own with all the machine's threads.
+    pub(crate) fn prepare<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        let Some(task) = self.task.as_ref().filter(|task| task.is_begun()) else { return self.pool.install(work) };
+        let span = Span::current();
+        task.account.doing(Doing::Waits);
+        self.pool.install(|| {
+            task.account.doing(Doing::Computes);
+            span.in_scope(|| task.log.hear(work))
+        })
     }
 
     /// Waits for the network.
@@ -99,7 +117,7 @@ impl Fetch {
     }
 
     /// Downloads a task's inputs before it begins, all of them, whatever is kept near.
-    pub(crate) async fn collect(task: &Arc<Task>, artifacts: &[Artifact]) -> Self {
+    pub(crate) async fn collect(&self, task: &Arc<Task>, artifacts: &[Artifact]) -> Self {
         let (client, bundle) = (&task.client, task.spec.bundle);
         let scene = client.get(&bundle, BUNDLE).await.map_err(|error| failure(&error));
         let manifest = scene.as_ref().ok().and_then(|bytes| Manifest::decode(bytes).ok()).unwrap_or_default();
@@ -109,7 +127,7 @@ impl Fetch {
         let mut inputs: BTreeMap<_, _> = artifacts.iter().map(|artifact| artifact.digest).zip(all).collect();
         inputs.insert(bundle, scene);
         let inputs = Arc::new(inputs);
-        let fetch = Self { way: Way::Collected(inputs.clone()), task: Some(task.clone()) };
+        let fetch = Self { way: Way::Collected(inputs.clone()), ..self.of(task) };
         inputs.values().flatten().for_each(|bytes| fetch.count(bytes.len()));
         fetch
     }

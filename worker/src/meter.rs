@@ -4,7 +4,7 @@
 //! So the process's clock is read whenever a task begins or ends, or begins or ends to wait for the network, and what has passed
 //! since the last reading is shared evenly among the tasks that compute; where none does, among those that move bytes; where
 //! there is none of those either, among those that wait for their turn, whose frames are prepared ahead, or for a thread. The sum over all tasks
-//! is what the process used while it had any. Costs exactness for each of two tasks that run side by side; workers of one
+//! is what the process used while it had any; what it used while it had none is counted as idle. Both together are the process's time. Costs exactness for each of two tasks that run side by side; workers of one
 //! process share one meter, and with it the coordinator's time where that is in the process, too.
 
 use std::collections::BTreeMap;
@@ -115,6 +115,8 @@ struct Books {
     clock: Option<fn() -> Duration>,
     read: Duration,
     numbers: u64,
+    /// Processor time while there was no account.
+    idle: Duration,
     open: BTreeMap<u64, (Doing, Arc<AtomicU64>)>,
 }
 
@@ -132,6 +134,13 @@ impl Meter {
 
     fn by(clock: Option<fn() -> Duration>) -> Self {
         Self(Arc::new(Shared { clock, books: Mutex::new(Books { clock, ..Books::default() }) }))
+    }
+
+    /// Processor time of the process until now while it had no task, its start included.
+    pub(crate) fn idle(&self) -> Duration {
+        let mut books = self.0.lock();
+        books.settle();
+        books.idle
     }
 
     /// Opens the account of a task that waits for its turn.
@@ -170,9 +179,13 @@ impl Books {
     fn settle(&mut self) {
         let Some(clock) = self.clock else { return };
         let now = clock();
-        let passed = now.saturating_sub(self.read).as_nanos() as u64;
+        let passed = now.saturating_sub(self.read);
         self.read = now;
-        let Some(most) = self.open.values().map(|(doing, _)| *doing).max() else { return };
+        let Some(most) = self.open.values().map(|(doing, _)| *doing).max() else {
+            self.idle += passed;
+            return;
+        };
+        let passed = passed.as_nanos() as u64;
         let shares: Vec<_> = self.open.values().filter(|(doing, _)| *doing == most).collect();
         let (share, rest) = (passed / shares.len() as u64, passed % shares.len() as u64);
         for (place, (_, cpu)) in shares.into_iter().enumerate() {
@@ -239,6 +252,21 @@ mod tests {
         drop(one);
         passes(5);
         assert_eq!((first, two.cpu()), (3.5, 10.5));
+    }
+
+    #[test]
+    fn tasks_and_idleness_together_are_the_process_s_time() {
+        let meter = meter();
+        passes(5);
+        let one = meter.open();
+        passes(3);
+        assert_eq!((one.cpu(), meter.idle()), (3.0, Duration::from_secs(5)));
+        passes(2);
+        drop(one);
+        passes(7);
+        let two = meter.open();
+        passes(1);
+        assert_eq!((two.cpu(), meter.idle()), (1.0, Duration::from_secs(5 + 7)), "of 18 s, a closed account has 5");
     }
 
     #[test]

@@ -8,6 +8,7 @@ use femc_model::{Failure, StageKind};
 use femc_proto::PROTOCOL;
 
 use crate::Cache;
+use crate::meter::Meter;
 use crate::table::{Table, Task};
 
 /// Counts what a worker does; clones are the same one.
@@ -17,7 +18,7 @@ pub struct Metrics(Arc<Inner>);
 #[derive(Debug)]
 struct Inner {
     /// Set when the worker runs.
-    parts: OnceLock<(Arc<Table>, Cache)>,
+    parts: OnceLock<(Arc<Table>, Cache, Meter)>,
     is_connected: AtomicBool,
     sessions: Counter,
     done: Tally<&'static str>,
@@ -56,9 +57,9 @@ impl Default for Inner {
 }
 
 impl Metrics {
-    pub(crate) fn watch(&self, table: &Arc<Table>, cache: &Cache) {
+    pub(crate) fn watch(&self, table: &Arc<Table>, cache: &Cache, meter: &Meter) {
         // A second worker with the same counters is looked at no closer.
-        let _ = self.0.parts.set((table.clone(), cache.clone()));
+        let _ = self.0.parts.set((table.clone(), cache.clone(), meter.clone()));
     }
 
     pub(crate) fn connected(&self) {
@@ -121,7 +122,9 @@ impl Metrics {
         page.gauge("femc_worker_connected", help).is(u8::from(is_connected));
         self.put_tasks(&mut page);
         self.put_usage(&mut page);
-        if let Some((table, cache)) = self.0.parts.get() {
+        if let Some((table, cache, meter)) = self.0.parts.get() {
+            let help = "Processor time while the worker held no task, its start included, in seconds.";
+            page.counter("femc_worker_idle_cpu_seconds_total", help).is(meter.idle().as_secs_f64());
             put_held(&mut page, table);
             cache.put(&mut page);
         }

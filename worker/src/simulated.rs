@@ -8,7 +8,6 @@ use femc_model::{Failure, Lane, Phase};
 
 use crate::config::{Fate, Pace};
 use crate::execute::{Product, Tools, execute};
-use crate::fetch::Fetch;
 use crate::finish::Finish;
 use crate::table::{Table, Task};
 use crate::threads::Ahead;
@@ -36,7 +35,7 @@ async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, F
     task.begin();
     task.enter(Phase::Preparing);
     let inputs: Vec<_> = task.assignment.work.artifacts().chain(task.assignment.work.hinted()).collect();
-    let fetch = Fetch::collect(task, &inputs).await;
+    let fetch = tools.fetch.collect(task, &inputs).await;
     task.enter(Phase::Working);
     let ((whole, fate), units) = (pace.of(&task.assignment), units(task));
     for step in 1..=STEPS {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use femc_model::{Refusal, Registration};
 use femc_proto::{CallError, Client, Why};
-use rayon::ThreadPoolBuilder;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 use tracing::Instrument as _;
@@ -54,33 +54,37 @@ impl Worker {
 
     async fn work(config: Config, stop: Pin<Box<dyn Future<Output = ()> + Send + '_>>) -> Result<(), WorkerError> {
         let nice = Nice::tried(config.nice)?;
-        let thread = config.name.clone();
-        let pool = ThreadPoolBuilder::new()
-            .num_threads(config.threads)
-            .thread_name(move |index| format!("{thread} {index}"))
-            .start_handler(move |_| nice.apply())
-            .build()
-            .map_err(|error| WorkerError::Threads(error.to_string()))?;
+        let pool = |name: String| -> Result<Arc<ThreadPool>, WorkerError> {
+            let pool = ThreadPoolBuilder::new()
+                .num_threads(config.threads)
+                .thread_name(move |index| format!("{name} {index}"))
+                .start_handler(move |_| nice.apply());
+            pool.build().map(Arc::new).map_err(|error| WorkerError::Threads(error.to_string()))
+        };
+        let rendering = pool(config.name.clone())?;
+        let preparing = match config.hands {
+            Hands::Threads => pool(format!("{} prepare", config.name))?,
+            Hands::Simulated(_) => rendering.clone(),
+        };
         let registration = Registration {
             name: config.name.clone(),
             instance: config.instance,
             engine: config.engine.clone(),
-            threads: pool.current_num_threads() as u32,
+            threads: rendering.current_num_threads() as u32,
             slots: 1,
             tags: offered(&config.tags),
             held: Vec::new(),
             died: None,
         };
         let tools = Tools {
-            pool: Arc::new(pool),
+            pool: rendering,
             cache: config.cache.clone(),
-            fetch: Fetch::blocking(Handle::current()),
+            fetch: Fetch::blocking(Handle::current(), preparing),
             memory: Memory::new(config.memory.clone()),
             nice,
             journal: config.journal.clone(),
         };
         let table = Arc::new(Table::default());
-        config.metrics.watch(&table, &config.cache);
         let (done, mut finished) = mpsc::unbounded_channel();
         let (outbox, mut restored) = match config.outbox.clone() {
             None => (Outbox::default(), Vec::new()),
@@ -91,6 +95,7 @@ impl Worker {
             Hands::Threads => Meter::of_process(),
             Hands::Simulated(_) => Meter::none(),
         };
+        config.metrics.watch(&table, &config.cache, &meter);
         let finish = Finish { done, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()) };
         let ahead = match &config.hands {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,

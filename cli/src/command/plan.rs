@@ -7,6 +7,7 @@ use crate::command::{client, sweep};
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
 use crate::request::{Asked, JobFile, is_job};
+use crate::threads;
 use clap::Args;
 use femc_model::{Graph, Hint, Need, Reach, Round, Scope, Template};
 use femc_pipeline::auto::Choice;
@@ -186,6 +187,11 @@ fn first_passes(asked: &Asked) -> Result<usize, Failure> {
 /// Render a few blocks all over the first frame and count what a sample costs.
 /// - `first_passes`: solutions that the frames share.
 pub fn trial(asked: &Asked, first_passes: usize, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
+    threads::pool(asked.threads)?.install(|| tried(asked, first_passes, samples_least, samples_most))
+}
+
+/// Like [`trial`], on the calling thread's pool.
+fn tried(asked: &Asked, first_passes: usize, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
     let (clock, plan) = (Clock, &asked.plan);
     let frame = plan.frames.first().copied().unwrap_or(1);
     let begun = clock.now();

@@ -6,6 +6,7 @@ use crate::args::{Filter, Method, SettingsArgs, Stats};
 use crate::exit::{Failure, failed, usage};
 use crate::output::faults::{self, Line};
 use crate::output::{Say, human};
+use crate::threads;
 use crate::values::{Frames, Size};
 use femc_fault::{Pretense, pretended};
 use femc_import::{Bundle, ImportErrors, Loaded, ScenePath, Warning};
@@ -186,7 +187,8 @@ impl Asked {
             return Ok(self);
         }
         let failed = |e: &dyn std::fmt::Display| failed(format!("{}: {e}", self.path.display()));
-        let choice = auto::choose(&self.source, &self.settings, &self.plan).map_err(|e| failed(&e))?;
+        let pool = threads::pool(self.threads)?;
+        let choice = pool.install(|| auto::choose(&self.source, &self.settings, &self.plan)).map_err(|e| failed(&e))?;
         if choice.method == femc_pipeline::Method::Pt {
             if let Some(left) = self.plan.left_out.iter_mut().find(|left| left.what == FIRST_PASS) {
                 left.reason.clone_from(&choice.reason);

@@ -39,6 +39,7 @@ mod stats;
 mod stop;
 mod stylize;
 mod sweep;
+mod threads;
 mod trust;
 mod usage;
 mod watch;

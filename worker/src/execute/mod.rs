@@ -143,10 +143,11 @@ mod tests {
     use super::*;
 
     fn tools() -> Tools {
+        let pool = Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap());
         Tools {
-            pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap()),
+            pool: pool.clone(),
             cache: Cache::default(),
-            fetch: Fetch::blocking(Handle::current()),
+            fetch: Fetch::blocking(Handle::current(), pool),
             memory: Memory::default(),
             nice: Nice::tried(None).unwrap(),
             journal: Journal::default(),

@@ -77,7 +77,8 @@ impl Bed {
     /// Compile the scene, and warm up.
     pub fn ready<'a>(&'a self, pool: &'a ThreadPool, cancel: &'a AtomicBool) -> Result<Ready<'a>, Failure> {
         let Asked { source, settings, .. } = &self.asked;
-        let prepared = femc_pipeline::prepare_world(source, settings, self.setup.frame, None).map_err(failed)?;
+        let prepared = pool.install(|| femc_pipeline::prepare_world(source, settings, self.setup.frame, None));
+        let prepared = prepared.map_err(failed)?;
         let [width, height] = self.setup.film;
         let (across, down) = (WARM_UP.min(width), WARM_UP.min(height));
         let (x, y) = ((width - across) / 2, (height - down) / 2);
@@ -97,8 +98,12 @@ impl Ready<'_> {
         }
         let Bed { setup, asked, .. } = self.bed;
         let (source, settings, known) = (&asked.source, &asked.settings, Some(&self.prepared));
-        let mut prepared = femc_pipeline::prepare_world(source, settings, setup.frame, known).map_err(failed)?;
-        let world = femc_pipeline::first_pass_world(source, settings, setup.frame, known).map_err(failed)?;
+        let worlds = || {
+            let prepared = femc_pipeline::prepare_world(source, settings, setup.frame, known)?;
+            Ok((prepared, femc_pipeline::first_pass_world(source, settings, setup.frame, known)?))
+        };
+        let worlds: Result<_, femc_pipeline::PrepareError> = self.pool.install(worlds);
+        let (mut prepared, world) = worlds.map_err(failed)?;
         let (clock, cpu) = (Clock, femc_worker::process_time());
         let begun = clock.now();
         let solution = self.pool.install(|| femc_pipeline::first_pass(&world, method, self.cancel)).map_err(ended)?;

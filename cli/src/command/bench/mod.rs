@@ -10,6 +10,7 @@ use crate::command::interrupt::Interrupt;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Progress, Say, human, json};
 use crate::request::{Asked, FramesChosen};
+use crate::threads;
 use crate::values::{Frames, Override, Size};
 use clap::Args;
 use femc_film::file::write_atomic;
@@ -118,9 +119,7 @@ pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
             human::count(scenes.len() as u64, "scene"),
         )));
     }
-    let threads = args.settings.threads.map_or(0, |threads| threads as usize);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
+    let pool = threads::pool(args.settings.threads)?;
     let ladders = args.ladders();
     let seeds: Vec<u64> = (0..args.seeds).map(|place| args.seed.wrapping_add(place)).collect();
     let mut beds: Vec<Bed> = Vec::new();

@@ -9,6 +9,7 @@ use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
 use crate::request::Base;
+use crate::threads;
 use crate::values::{Exposure, Frames, Override, Volume, ev};
 use clap::Args;
 use document::{About, Wire};
@@ -76,8 +77,7 @@ fn share(text: &str) -> Result<f32, String> {
 /// Solve, write, tell.
 pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     let out = target(args.out.as_deref(), &args.scene)?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, |threads| threads as usize)).build();
-    let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
+    let pool = threads::pool(args.threads)?;
     let typed = SettingsArgs { frames: Some(Frames::one(args.frame)), set: args.set, ..SettingsArgs::default() };
     let named = |key: &str| (key == "frames").then(|| "--frame".to_owned());
     let asked = Base::open(&args.scene, args.root.as_deref(), say)?.ask(&typed, &named)?;

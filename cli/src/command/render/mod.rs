@@ -156,7 +156,8 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         report.layers = files.collect();
     }
     if let Some(style) = &style {
-        report.painted = args.painting.paint(style, &report.files, exposure, &target.part(), say)?;
+        report.painted =
+            args.painting.paint(style, &report.files, exposure, asked.threads.unwrap_or(0), &target.part(), say)?;
         report.painted.iter().for_each(|file| say.note(format!("wrote {file}")));
     }
     clip::write(&asked, &mut report, &args.extras, exposure, say)?;

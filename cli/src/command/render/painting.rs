@@ -63,12 +63,14 @@ impl PaintingArgs {
     }
 
     /// Paints the frames, in their order.
+    /// - `threads`: number of threads, 0: as many as the machine has;
     /// - `part`: file that is kept while it lasts.
     pub fn paint(
         &self,
         style: &Style,
         files: &[String],
         exposure: Exposure,
+        threads: u32,
         part: &Path,
         say: Say,
     ) -> Result<Vec<String>, Failure> {
@@ -80,7 +82,7 @@ impl PaintingArgs {
         let settings = Settings { boil: self.boil.unwrap_or(Settings::default().boil), ..Settings::default() };
         let curve = common_curve(exposure, &targets)?;
         let Painted { frames, .. } =
-            Order { style, guides: &[], curve, settings, threads: 0 }.paint(&targets, &outputs, part, say)?;
+            Order { style, guides: &[], curve, settings, threads }.paint(&targets, &outputs, part, say)?;
         Ok(frames.into_iter().map(|row| row.image).collect())
     }
 }

@@ -7,6 +7,7 @@ use crate::args::{FormatArgs, fits};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Progress, Say, human, json};
+use crate::threads;
 use crate::values::{Exposure, Style, guide_frame};
 use clap::{Args, ValueEnum};
 use femc_film::{Levels, ToneCurve, file};
@@ -167,8 +168,7 @@ impl Order<'_> {
         let shown = source.guides(&names, ToneCurve::auto(source.exposed().as_ref()));
         let guides = shown.map_err(|error| told(&error, source_path))?;
         let example = Example { style: painting, guides: &guides };
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads as usize).build();
-        let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
+        let pool = threads::pool(Some(self.threads))?;
         let paint = |frame: &GuideFrame, before: Option<&Before>, begun: Option<Begun>, watch: &dyn Watch| {
             let shown = frame.guides(&names, self.curve)?;
             pool.install(|| femc_stylize::stylize(example, &shown, before, &self.settings, begun, watch))
@@ -198,7 +198,8 @@ impl Order<'_> {
                 None => guide_frame("--target", target)?,
             };
             let told = |error: StylizeError| told(&error, target);
-            let before = last.as_ref().and_then(|(painted, frame)| moved(painted, frame)).transpose().map_err(told)?;
+            let before = pool.install(|| last.as_ref().and_then(|(painted, frame)| moved(painted, frame)));
+            let before = before.transpose().map_err(told)?;
             let fields = last.map(|(painted, _)| painted.field.patches).unwrap_or_default();
             let keep = |begun| Kept::new(keys[at].clone(), at, rows.clone(), fields.clone(), begun).write(part);
             if at > first_left {

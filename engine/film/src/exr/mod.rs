@@ -25,8 +25,10 @@ impl Threads {
     const WORTH: usize = 1 << 18;
 
     /// For a file of so many pixels. The `exr` crate starts a pool of all the machine's threads for each file: not where the
-    /// caller's pool is one thread, nor for a small file, of which a farm writes many.
+    /// caller's pool is one thread, nor for a small file, of which a farm writes many. A caller without a pool gets one thread: to ask
+    /// rayon for its number of threads there would start the global pool.
     fn of(pixels: usize) -> Self {
-        if pixels < Self::WORTH || rayon::current_num_threads() == 1 { Self::One } else { Self::Many }
+        let has_pool = rayon::current_thread_index().is_some();
+        if pixels >= Self::WORTH && has_pool && rayon::current_num_threads() > 1 { Self::Many } else { Self::One }
     }
 }

@@ -1,0 +1,96 @@
+//! `--threads N` is the number of threads that compute, in every command and every task.
+#![cfg(target_os = "linux")]
+
+use crate::common::http::{free_port, metrics};
+use crate::common::{Place, Ran, Running, coordinator};
+use std::fmt::Write as _;
+use std::process::Command;
+
+/// Threads that rayon's global pool would have, if anything used it. They do not fit into [`MEMORY`], so that such a use panics.
+const GLOBAL: usize = 1000;
+/// Address space of a process, in KiB: a thread's stack takes 2 MiB of it.
+const MEMORY: usize = 1_500_000;
+
+/// `femc` in a process where rayon's global pool cannot be started.
+fn confined(place: &Place, line: &str) -> Command {
+    let mut command = Command::new("sh");
+    let femc = place.command(line);
+    command.arg("-c").arg(format!("ulimit -v {MEMORY}; exec \"$0\" \"$@\"")).arg(femc.get_program());
+    command.args(femc.get_args()).current_dir(place.path(""));
+    for (name, value) in femc.get_envs() {
+        match value {
+            Some(value) => command.env(name, value),
+            None => command.env_remove(name),
+        };
+    }
+    // Each arena of the allocator takes address space, too.
+    command.env("RAYON_NUM_THREADS", GLOBAL.to_string()).env("MALLOC_ARENA_MAX", "2");
+    command
+}
+
+fn run(place: &Place, line: &str) -> Ran {
+    Running::of(&mut confined(place, line)).end().exits(0)
+}
+
+/// Scenes whose trees and images are large enough for many threads: a fine mesh in `fine.mgf`, and `wide.mgf`, whose camera sees
+/// nothing, so that its many pixels take little time.
+fn scenes(place: &Place) {
+    let (fog, mut mesh) = (place.read("fog.mgf"), String::from("m wall\n"));
+    let side = 60;
+    for (x, y) in (0..=side).flat_map(|y| (0..=side).map(move |x| (x, y))) {
+        let at = |n: i32| 1.8 * f64::from(n) / f64::from(side) - 0.9;
+        writeln!(mesh, "v g{x}_{y} =\n\tp {} {} 0.2", at(x), at(y)).expect("text");
+    }
+    for (x, y) in (0..side).flat_map(|y| (0..side).map(move |x| (x, y))) {
+        let (a, b) = (x + 1, y + 1);
+        writeln!(mesh, "f g{x}_{y} g{a}_{y} g{a}_{b}\nf g{x}_{y} g{a}_{b} g{x}_{b}").expect("text");
+    }
+    place.write("fine.mgf", &format!("{fog}{mesh}"));
+    place.write(
+        "wide.mgf",
+        &fog.replace("origin 0 -3.4 1", "origin 0 -3.4 50").replace("target 0 0 1", "target 0 0 90"),
+    );
+}
+
+#[test]
+fn a_render_starts_no_threads_beside_its_own() {
+    let place = Place::new();
+    scenes(&place);
+    for line in [
+        "fine.mgf --frames 1 --spp 1 --layers guides --stats",
+        "wide.mgf --frames 1 --spp 1 --size 640x420 --layers guides --preview --contact-sheet sheet.png",
+        "fog.mgf --frames 1..2 --error 0.5 --size 64x64 --layers guides --style oil",
+        "fog.mgf --frames 1 --spp 1 --method fem",
+        "fog.mgf --frames 1 --spp 1 --method femc",
+    ] {
+        run(&place, &format!("render {line} --threads 1 -o out"));
+    }
+    run(&place, "plan fine.mgf --frames 1 --spp 1 --threads 1 --json");
+}
+
+#[test]
+fn a_worker_starts_no_threads_beside_its_own_whatever_its_tasks_are() {
+    let place = Place::new();
+    scenes(&place);
+    let (_farm, url) = coordinator(&place, 0);
+    let port = free_port();
+    let line = format!("worker --join {url} --threads 1 --name w1 --metrics {port}");
+    let mut worker = Running::of(&mut confined(&place, &line));
+    for line in [
+        "fine.mgf --frames 1..2 --spp 1 --layers guides --stats --method pt",
+        "wide.mgf --frames 1 --spp 1 --size 640x420 --preview --method pt",
+        "fog.mgf --frames 1..2 --error 0.5 --contact-sheet sheet.png --layers guides --style oil --method pt",
+        "fog.mgf --frames 1 --spp 1 --method femc",
+    ] {
+        let ran = place.run(&format!("submit {line} --server {url}")).exits(0);
+        let job = ran.stdout().lines().last().expect("a job").to_owned();
+        place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
+    }
+    let done = metrics(port);
+    for stage in ["render", "reduce", "decide", "image", "encode", "paint", "first-pass"] {
+        let tasks = done.value("femc_worker_tasks_done_total", &[("stage", stage)]);
+        assert!(tasks.is_some_and(|tasks| tasks > 0.0), "no task of {stage}: {tasks:?}");
+    }
+    let said = worker.kill_for_stderr();
+    assert!(!said.contains("panic"), "{said}");
+}

@@ -552,7 +552,7 @@ fn of_very_many_failures_the_first_logs_and_the_latest_are_kept() {
     let id = farm.submit(job(&[1], 2, &[8]));
     farm.join(1);
     let held = farm.first_of(1);
-    let mut log = |farm: &mut Farm, number: u32, attempt, text| {
+    let log = |farm: &mut Farm, number: u32, attempt, text| {
         let log = TaskLog { attempt, seconds: f64::from(number), text };
         farm.on(Event::Logged { worker: WorkerId(1), task: held.task, epoch: held.epoch, log });
     };

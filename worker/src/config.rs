@@ -190,7 +190,7 @@ pub enum WorkerError {
         /// Error of the operating system.
         message: String,
     },
-    /// The render threads cannot be started.
-    #[error("render threads: {0}")]
+    /// The threads that compute cannot be started.
+    #[error("cannot start threads: {0}; give a smaller --threads, or allow more processes (ulimit -u)")]
     Threads(String),
 }

@@ -115,6 +115,9 @@ async fn show(args: &LogsArgs, farm: &Farm, records: &[LogRecord], say: Say) -> 
         json::print(say, &all)?;
     } else if records.is_empty() && !args.follow {
         say.note("no attempt of this job has a log yet");
+    } else if !args.follow && !records.iter().any(|record| wanted(&record)) {
+        let others = human::count(records.len() as u64, "log");
+        say.note(format!("no attempt that is asked for has a log; the job has {others} of other attempts"));
     }
     Ok(())
 }

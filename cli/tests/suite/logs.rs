@@ -23,6 +23,9 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
     }
     let image = place.run(&format!("logs {job}/1.0/image/0 --server {url}")).exits(0).stdout();
     assert!(image.contains("the frame is put together") && !image.contains("render."), "{image}");
+    let none = place.run(&format!("logs {job} --failed --server {url}")).exits(0);
+    assert_eq!(none.stdout(), "");
+    assert!(none.stderr().contains("the job has 10 logs of other attempts"), "{}", none.stderr());
 
     // A scene that nobody can read.
     place.write("fog.mgf", &common::FOG.replace("origin 0 -3.4 1", "origin 0 -3.4"));

@@ -69,6 +69,21 @@ fn a_render_starts_no_threads_beside_its_own() {
 }
 
 #[test]
+fn threads_that_cannot_be_started_are_an_error_that_says_what_to_do() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    for line in [
+        format!("worker --join {url} --threads {GLOBAL}"),
+        format!("render fog.mgf --frames 1 --spp 1 --method pt --threads {GLOBAL} -o out"),
+        format!("plan fog.mgf --frames 1 --threads {GLOBAL}"),
+    ] {
+        let error = Running::of(&mut confined(&place, &line)).end().exits(1).stderr();
+        assert!(error.contains("cannot start threads") && error.contains("ulimit -u"), "{line}: {error}");
+        assert!(!error.contains("panic"), "{line}: {error}");
+    }
+}
+
+#[test]
 fn a_worker_starts_no_threads_beside_its_own_whatever_its_tasks_are() {
     let place = Place::new();
     scenes(&place);

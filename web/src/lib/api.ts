@@ -103,6 +103,13 @@ export const api = {
   /** A page of the attempts that have ended, from a cursor on: of the job, or of a task. */
   attempts: (job: number, from: number | null, task: string | null, signal?: AbortSignal) =>
     get<{ attempts: Attempt[]; next: number | null }>(`/jobs/${job}/attempts${query({ from, task })}`, signal),
+  /** The message of a task that has failed for good; `null` of any other. */
+  failure: async (job: number, task: string, signal?: AbortSignal): Promise<string | null> => {
+    const named = /^[^/]+\/(\d+)\.\d+\/[^/.]+\.?(\d*)\//.exec(task);
+    const filter = { frame: Number(named?.[1] ?? 0), state: 'failed', ...(named?.[2] ? { stage: Number(named[2]) } : {}) };
+    const { tasks } = await get<TaskWindow>(`/jobs/${job}/tasks${query({ from: 0, count: 1000, ...filter })}`, signal);
+    return tasks.find((failed) => failed.task === task)?.failure ?? null;
+  },
   logs: async (job: number, task: string | null, signal?: AbortSignal) =>
     (await get<{ records: LogRecord[] }>(`/jobs/${job}/logs${query({ task })}`, signal)).records,
   thumbnail: (job: number, frame: number, version: string, height = 90) =>

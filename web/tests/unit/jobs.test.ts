@@ -1,5 +1,6 @@
 import { describe, expect, test } from 'vitest';
 import { lines, matches, parseOrder, sorted } from '../../src/lib/jobs';
+import { noLog } from '../../src/lib/logs';
 import { fraction, secondsLeft } from '../../src/lib/progress';
 import { refusal } from '../../src/lib/rights';
 import { Attempts } from '../../src/lib/attempts';
@@ -123,5 +124,24 @@ describe('the timeline', () => {
     expect(read.add({ attempts: [], next: null })).toBe(false);
     expect(read.cursor).toBe(5);
     expect(read.all().length).toBe(1);
+  });
+});
+
+describe('the reason why a task has no log', () => {
+  const ended = (...endings: string[]) => noLog(endings.map((ending, at) => attempt('1/1.0/render.0/0', at, at + 1, { ending })));
+
+  test('names short-lived logs of good tiles for tasks that are done alone', () => {
+    expect(ended('done')).toContain('short-lived');
+    for (const endings of [['failed'], ['lost'], ['revoked'], ['cancelled'], ['done', 'failed'], ['lost', 'done']]) {
+      expect(ended(...endings), String(endings)).not.toContain('short-lived');
+    }
+  });
+
+  test('is the worker that was lost, the failure, or the lease that was taken back', () => {
+    expect(ended('lost')).toContain('lost before');
+    expect(ended('lost', 'failed')).toContain('failed attempt');
+    expect(ended('revoked')).toContain('taken back');
+    expect(ended()).toContain('No attempt has ended');
+    expect(noLog(null)).toBe('Asking.');
   });
 });

@@ -428,9 +428,13 @@ impl<Q: Queue> Actor<Q> {
     fn renew(&mut self) {
         let now = self.clock.now();
         for (worker, heartbeat) in std::mem::take(&mut self.heartbeats) {
-            let (leases, intake) = (self.scheduler.leases(worker, now), self.scheduler.intake(worker));
-            self.tell(worker, ToWorker::Renewed { heartbeat, leases, intake });
+            self.answer_heartbeat(worker, heartbeat, now);
         }
+    }
+
+    pub(crate) fn answer_heartbeat(&mut self, worker: WorkerId, heartbeat: u64, now: Tick) {
+        let (leases, intake) = (self.scheduler.leases(worker, now), self.scheduler.intake(worker));
+        self.tell(worker, ToWorker::Renewed { heartbeat, leases, intake });
     }
 
     async fn answer(&mut self) -> Result<(), CoordinatorError> {

@@ -5,7 +5,7 @@
 //! they say is put off, so much of it; then they wait. Whoever wants something is told to come again. So what is kept does
 //! not grow, and when there is room everything goes on where it was.
 
-use femc_model::{FromWorker, Refusal, ToWorker, WorkerId};
+use femc_model::{FromWorker, Refusal, WorkerId};
 use femc_proto::{Call, References, Reply};
 use femc_queue::{Batch, Queue, QueueError, Remedy};
 use femc_schedule::Command;
@@ -90,9 +90,7 @@ impl<Q: Queue> Actor<Q> {
         if let SessionEvent::Said(said) = &event
             && let FromWorker::Heartbeat { number, usage, .. } = &**said
         {
-            let leases = self.scheduler.leases(worker, self.clock.now());
-            let intake = self.scheduler.intake(worker);
-            self.tell(worker, ToWorker::Renewed { heartbeat: *number, leases, intake });
+            self.answer_heartbeat(worker, *number, self.clock.now());
             if usage.is_empty() {
                 return;
             }

@@ -85,7 +85,7 @@ impl Secured {
     }
 }
 
-/// What curl has got.
+/// Answer that curl has received.
 #[derive(Debug)]
 struct Answered {
     version: String,
@@ -109,7 +109,7 @@ impl Answered {
 
 /// curl's option, and the version that it then speaks.
 const VERSIONS: [(&str, &str); 2] = [("--http1.1", "1.1"), ("--http2", "2")];
-/// How curl shows ann's certificate.
+/// Options with which curl shows ann's certificate.
 const ANN: [&str; 4] = ["--cert", "cert.pem", "--key", "key.pem"];
 const JSON: [&str; 4] = ["--header", "Content-Type: application/json", "--header", "X-Femc: 1"];
 

@@ -32,7 +32,7 @@ fn rendering(id: u32, name: &str) -> f64 {
     seconds
 }
 
-/// A tick of the system's account, of which a process has one for user and one for system time.
+/// Rounding of a process's processor time in seconds: the system counts user time and system time in ticks of 10 ms each.
 const TICKS: f64 = 0.02;
 
 #[test]
@@ -47,7 +47,7 @@ fn the_processor_seconds_of_all_attempts_are_those_that_the_system_says_the_work
     let workers = [start("lab1"), start("lab2")];
     let job = submit(&place, &url, "--spp 384 --frames 1..4");
     place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
-    // The coordinator has taken notice of all results, and the workers have heard it.
+    // Once a worker holds no task, the coordinator has acknowledged all of its results.
     let counted = |name: &str| workers.iter().map(|(_, port, _)| metrics(*port).sum(name, &[])).sum::<f64>();
     farm.wait_until("the workers hold nothing", || counted("femc_worker_tasks_held") == 0.0);
     let rendering = workers.iter().map(|(name, _, worker)| rendering(worker.id(), name)).sum::<f64>();

@@ -32,10 +32,6 @@ impl Uneven {
         let at = |steps: &[u32]| steps.get(task as usize).copied().unwrap_or(0);
         at(&self.from)..at(&self.to)
     }
-
-    fn most(&self) -> u32 {
-        self.from.iter().zip(&self.to).map(|(from, to)| to.saturating_sub(*from)).max().unwrap_or(0)
-    }
 }
 
 /// Steps that tasks have taken in all, in their order: one number where all have taken as many.
@@ -99,15 +95,6 @@ impl<'a> Grains<'a> {
             stride = (units / size).clamp(1, u64::from(most.clamp(1, Self::MOST))) as u32;
         }
         Self { sizes: &template.sizes, steps, stride }
-    }
-
-    /// Units of work of the largest task, as if it took the most steps.
-    pub fn of_largest(&self) -> u64 {
-        let most = match &self.steps {
-            Steps::Even(steps) => steps.len() as u64,
-            Steps::Uneven(uneven) => uneven.most().into(),
-        };
-        self.sizes.greatest() * most
     }
 
     /// Tasks of the stage.

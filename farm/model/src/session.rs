@@ -19,8 +19,7 @@ pub struct Registration {
     pub engine: String,
     /// Threads that render.
     pub threads: u32,
-    /// Tasks that run side by side. It is leased two more, and more than that of short tasks, so that the next is there when one
-    /// is done.
+    /// Tasks that run side by side. At least one more is leased, and more of short tasks, so that the next is there when one is done.
     pub slots: u32,
     /// Tags that the worker offers.
     pub tags: Vec<String>,

@@ -24,13 +24,13 @@ enum Pick {
 
 impl Scheduler {
     /// Leases ready tasks until the workers or the tasks run out: the workers with the fewest tasks first, so that
-    /// nobody fetches ahead what another could begin at once. Each lane has its own queues: what puts a finished frame
-    /// together never waits behind what renders others.
+    /// no worker fetches ahead a task that another could begin at once. Each lane has its own queues: tasks that join never wait
+    /// for render tasks.
     pub(crate) fn deal(&mut self, now: Tick, out: &mut Vec<Command>) {
         if now < self.deals_from {
             return;
         }
-        // Frames are opened for what computes; the first stage of one may join.
+        // The pass for tasks that compute may open frames, whose first tasks may join.
         for lane in [Lane::Join, Lane::Compute, Lane::Join] {
             self.deal_lane(lane, now, out);
         }
@@ -87,7 +87,7 @@ impl Scheduler {
     fn pick_open(&self, id: WorkerId, lane: Lane, now: Tick) -> ControlFlow<Pick, JobId> {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.table.workers.get(&id) else { return ControlFlow::Break(best) };
-        let has_shared = self.joinable.iter().any(|job| job.is_shared());
+        let has_shared = lane == Lane::Join && self.joinable.iter().any(|job| job.is_shared());
         for job_id in self.order.service() {
             let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&job_id), self.ready.get(&job_id)) else {
                 continue;

@@ -20,6 +20,8 @@ pub(crate) struct Worker {
     pub(crate) registration: Registration,
     /// Its leases, oldest first: in each lane it works on the first of those that it has not finished.
     pub(crate) held: VecDeque<Held>,
+    /// Sums over `held`, by lane.
+    queues: [Queue; Lane::ALL.len()],
     /// Until then its time is charged, while it holds something.
     charged: Tick,
     /// Intake that the worker wants: `Open` or `Off`.
@@ -56,38 +58,77 @@ impl Held {
     fn place(&self) -> (Epoch, TaskKey) {
         (self.epoch, self.task)
     }
+
+    fn lane(&self) -> Lane {
+        self.task.stage.kind.row().lane
+    }
+}
+
+/// What a worker holds in one lane.
+#[derive(Debug, Clone, Copy, Default)]
+struct Queue {
+    leases: usize,
+    /// Leases whose result is on its way.
+    uploading: usize,
+    /// Milliseconds that all of them are expected to take.
+    expected: u64,
 }
 
 impl Worker {
-    /// Leases that it holds in a lane.
-    fn held_in(&self, lane: Lane) -> impl Iterator<Item = &Held> {
-        self.held.iter().filter(move |held| held.task.stage.kind.row().lane == lane)
-    }
-
-    /// How many tasks count against its room in a lane: what joins has a queue of its own, beside all that computes.
+    /// Number of leases that count against its room in a lane. For tasks that join, these are the leases of that lane alone, so that
+    /// no render task delays them.
     fn load(&self, lane: Lane) -> usize {
         match lane {
             Lane::Compute => self.held.len(),
-            Lane::Join => self.held_in(lane).count(),
+            Lane::Join => self.queues[lane as usize].leases,
         }
+    }
+
+    fn insert(&mut self, held: Held) {
+        let queue = &mut self.queues[held.lane() as usize];
+        queue.leases += 1;
+        queue.expected = queue.expected.saturating_add(held.expected);
+        let newer = self.held.partition_point(|other| other.place() < held.place());
+        self.held.insert(newer, held);
+    }
+
+    fn remove(&mut self, (task, epoch): &LeaseKey) {
+        let Ok(place) = self.held.binary_search_by_key(&(*epoch, *task), Held::place) else { return };
+        if let Some(held) = self.held.remove(place) {
+            let queue = &mut self.queues[held.lane() as usize];
+            queue.leases -= 1;
+            queue.uploading -= usize::from(held.is_uploading);
+            queue.expected = queue.expected.saturating_sub(held.expected);
+        }
+    }
+
+    /// The task is computed, and its result is on its way.
+    fn note_uploading(&mut self, (task, epoch): &LeaseKey) {
+        let Ok(place) = self.held.binary_search_by_key(&(*epoch, *task), Held::place) else { return };
+        let held = &mut self.held[place];
+        let is_new = !std::mem::replace(&mut held.is_uploading, true);
+        self.queues[held.lane() as usize].uploading += usize::from(is_new);
+    }
+
+    /// Milliseconds that the tasks of a lane which run now are expected to take: the first ones that are not finished.
+    fn running(&self, lane: Lane) -> u64 {
+        if self.queues[lane as usize].leases == 0 {
+            return 0;
+        }
+        let unfinished = self.held.iter().filter(|held| held.lane() == lane && !held.is_uploading);
+        unfinished.take(self.slots()).fold(0, |sum, held| sum.saturating_add(held.expected))
     }
 
     /// Whether it may be given one more task of this lane. What waits there is worth at most some seconds beyond what runs, by the
     /// pace of the stages that the waiting tasks belong to.
     pub(crate) fn has_room(&self, lane: Lane, config: &Config) -> bool {
-        let (slots, total) = (self.slots(), self.load(lane));
-        let (mut unfinished, mut waiting) = (0, 0_u64);
-        for held in self.held_in(lane) {
-            unfinished += usize::from(!held.is_uploading);
-            if held.is_uploading || unfinished > slots {
-                waiting = waiting.saturating_add(held.expected);
-            }
-        }
+        let (slots, load, queue) = (self.slots(), self.load(lane), self.queues[lane as usize]);
+        let waiting = || queue.expected.saturating_sub(self.running(lane));
         let shallow = slots + config.prefetch as usize;
-        if total < shallow {
-            unfinished <= slots || waiting <= config.queue
+        if load < shallow {
+            queue.leases - queue.uploading <= slots || waiting() <= config.queue
         } else {
-            total < shallow + Config::DEEPEST && waiting < config.ahead
+            load < shallow + Config::DEEPEST && waiting() < config.ahead
         }
     }
 
@@ -205,6 +246,7 @@ impl LeaseTable {
         let fresh = Worker {
             registration,
             held: VecDeque::new(),
+            queues: Default::default(),
             charged: now,
             wish: Intake::Open,
             intake: Intake::Open,
@@ -322,8 +364,7 @@ impl LeaseTable {
             if holder.held.is_empty() {
                 holder.charged = now;
             }
-            let newer = holder.held.partition_point(|other| other.place() < held.place());
-            holder.held.insert(newer, held);
+            holder.insert(held);
             holder.locality.note(&key.0);
         }
         self.open_room(worker, config);
@@ -343,9 +384,7 @@ impl LeaseTable {
             }
             None => None,
         };
-        if let Ok(place) = holder.held.binary_search_by_key(&(key.1, key.0), Held::place) {
-            holder.held.remove(place);
-        }
+        holder.remove(key);
         self.open_room(worker, config);
         Some((lease, bill))
     }
@@ -416,18 +455,11 @@ impl LeaseTable {
                 lease.deadline = now.after(config.lease);
             }
         }
-        finished.iter().for_each(|key| self.note_uploading(worker, key, config));
-        over
-    }
-
-    /// The worker has computed a task and sends its result: it has room for another.
-    fn note_uploading(&mut self, worker: WorkerId, key: &LeaseKey, config: &Config) {
-        if let Some(holder) = self.workers.get_mut(&worker)
-            && let Ok(place) = holder.held.binary_search_by_key(&(key.1, key.0), Held::place)
-        {
-            holder.held[place].is_uploading = true;
+        if let Some(holder) = self.workers.get_mut(&worker).filter(|_| !finished.is_empty()) {
+            finished.iter().for_each(|key| holder.note_uploading(key));
+            self.open_room(worker, config);
         }
-        self.open_room(worker, config);
+        over
     }
 
     /// Of a lease that ran out because nothing moved, although its worker is there: that worker, and for how many seconds. One

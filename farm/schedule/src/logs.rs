@@ -71,7 +71,7 @@ impl Scheduler {
         let in_memory: Vec<&LogRecord> = in_memory.filter(is_new).collect();
         let mut all: Vec<LogRecord> =
             jobs.iter().flat_map(|job| self.ledger.side.logs(*job)).filter(is_new).cloned().collect();
-        // Those of failures are not pushed out by many others.
+        // Stored logs, among them those of failures, have a place before logs of tiles.
         let room = MOST.saturating_sub(all.len());
         all.extend(in_memory[in_memory.len().saturating_sub(room)..].iter().copied().cloned());
         all.sort_by_key(|record| (record.at, record.epoch));

@@ -15,7 +15,8 @@ struct Record {
     tasks: BTreeSet<TaskKey>,
     /// Quarantined until then, once there were too many, while another worker may do the job's tasks.
     until: Option<Tick>,
-    /// The same while there is no other worker: a sick machine alone must not fail all tasks of a job within seconds.
+    /// End of the shorter quarantine that applies while no other worker may do them: a sick machine that is alone must not fail all
+    /// tasks of a job within seconds.
     alone_until: Tick,
     /// How often it was quarantined in a row.
     times: u32,
@@ -83,7 +84,8 @@ impl WorkerQuarantine {
         record.left(record.until?, now)
     }
 
-    /// The same while there is no other.
+    /// For how many more milliseconds the worker is quarantined while no other may do the job's tasks; 0 while its probe runs;
+    /// `None`: it is not.
     pub(crate) fn quarantines_alone(&self, worker: Instance, now: Tick) -> Option<u64> {
         let record = self.records.get(&worker)?;
         record.until?;

@@ -29,7 +29,7 @@ pub struct Scheduler {
     pub(crate) ready: BTreeMap<JobId, ReadyTasks>,
     /// Jobs whose tasks may be leased.
     pub(crate) order: Order,
-    /// Jobs with ready tasks that join.
+    /// Jobs that may run and have ready tasks that join.
     pub(crate) joinable: BTreeSet<JobId>,
     /// Leases granted in this incarnation.
     pub(crate) leases: u64,
@@ -348,9 +348,10 @@ impl Scheduler {
         self.reorder(id);
     }
 
-    /// Notes whether a job has ready tasks that join, after what is ready has changed.
+    /// Notes whether a job has ready tasks that join, after its ready tasks or its state have changed.
     pub(crate) fn note_joinable(&mut self, id: JobId) {
-        if self.ready.get(&id).is_some_and(|ready_tasks| ready_tasks.open.can_join()) {
+        let may_run = self.ledger.jobs.get(&id).is_some_and(Job::is_runnable);
+        if may_run && self.ready.get(&id).is_some_and(|ready_tasks| ready_tasks.open.can_join()) {
             self.joinable.insert(id);
         } else {
             self.joinable.remove(&id);

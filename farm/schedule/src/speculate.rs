@@ -27,8 +27,7 @@ impl Scheduler {
     fn speculate_in(&mut self, lane: Lane, now: Tick, out: &mut Vec<Command>) {
         let is_fit = |id: &WorkerId| self.table.workers.get(id).is_some_and(|known| known.is_fit(&self.config, now));
         let idle: Vec<WorkerId> = self.table.idle(lane).filter(is_fit).collect();
-        let mut late = if idle.is_empty() { Vec::new() } else { self.late(now) };
-        late.retain(|(task, _)| task.stage.kind.row().lane == lane);
+        let mut late = if idle.is_empty() { Vec::new() } else { self.late(lane, now) };
         for worker in idle {
             let Some(place) = late.iter().position(|key| self.may_copy(key, worker, now)) else { continue };
             let (task, epoch) = late.remove(place);
@@ -38,12 +37,13 @@ impl Scheduler {
         }
     }
 
-    /// Leases that take too long and of which there is no copy: by their jobs' order of service, the latest first.
-    fn late(&self, now: Tick) -> Vec<LeaseKey> {
+    /// Leases of a lane that take too long and have no copy: by their jobs' order of service, the latest first.
+    fn late(&self, lane: Lane, now: Tick) -> Vec<LeaseKey> {
         let mut all = Vec::new();
         let shared = self.ledger.all_shared().filter(|(_, shared)| self.is_wanted(shared)).map(|(id, _)| id);
         for job in self.order.service().chain(shared) {
             let mut late: Vec<(u64, LeaseKey)> = (self.table.of_job(job))
+                .filter(|((task, _), _)| task.stage.kind.row().lane == lane)
                 .filter(|((task, _), _)| self.table.of_task(task).nth(1).is_none())
                 .filter_map(|(key, lease)| Some((self.lateness(&key.0, lease, now)?, key)))
                 .collect();

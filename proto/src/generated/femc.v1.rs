@@ -1225,7 +1225,7 @@ pub struct Registration {
     /// Threads that render.
     #[prost(uint32, tag = "5")]
     pub threads: u32,
-    /// Tasks that run side by side, 1 to 1024. It is leased two more, and more than that of short tasks.
+    /// Tasks that run side by side, 1 to 1024. At least one more is leased, and more of short tasks.
     #[prost(uint32, tag = "6")]
     pub slots: u32,
     /// What it offers.

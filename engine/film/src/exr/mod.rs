@@ -24,9 +24,9 @@ impl Threads {
     /// Pixels from which on threads are worth it.
     const WORTH: usize = 1 << 18;
 
-    /// For a file of so many pixels. The `exr` crate starts a pool of all the machine's threads for each file: not where the
-    /// caller's pool is one thread, nor for a small file, of which a farm writes many. A caller without a pool gets one thread: to ask
-    /// rayon for its number of threads there would start the global pool.
+    /// Threads for a file of so many pixels. For each file that it compresses with many threads, the `exr` crate starts a pool of all
+    /// the machine's threads. Small files, callers whose pool has one thread, and callers without a pool get one thread. (Outside of a
+    /// pool, asking rayon for its number of threads would start the global pool.)
     fn of(pixels: usize) -> Self {
         let has_pool = rayon::current_thread_index().is_some();
         if pixels >= Self::WORTH && has_pool && rayon::current_num_threads() > 1 { Self::Many } else { Self::One }

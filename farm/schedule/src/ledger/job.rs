@@ -134,7 +134,7 @@ impl Job {
         }
     }
 
-    /// The same job with the calendar date of its submission.
+    /// Sets the calendar date of the submission, Unix time in milliseconds.
     pub(super) fn submitted_at(self, date: Option<u64>) -> Self {
         Self { date, ..self }
     }

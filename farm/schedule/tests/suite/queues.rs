@@ -1,4 +1,4 @@
-//! What waits at a worker, what joins beside what computes, and pauses of a worker that fails.
+//! Queues of a worker: their depth, tasks that join beside tasks that compute, drains, and pauses of a worker that fails.
 
 use crate::common::{Farm, config, job, panic, registration, result_in};
 use femc_model::*;
@@ -27,16 +27,16 @@ fn short_tasks_of_one_job_do_not_deepen_the_queue_for_another() {
     farm.join(1);
     (0..100).for_each(|_| work_in(&mut farm, 1, 1));
     assert!(farm.tasks_of(1).len() > 60, "tasks of a millisecond are queued: {}", farm.tasks_of(1).len());
-    // Another job goes first, whose tasks nobody knows yet; then tasks of three seconds.
+    // A job of higher priority comes. The pace of its tasks is unknown at first; then they take three seconds each.
     let slow = farm.submit(JobSpec { priority: 90, ..job(&[1], 60, &[4]) });
     let held = |farm: &Farm| farm.held.iter().filter(|(_, held)| held.task.job == slow).count();
     while farm.first_of(1).task.job != slow {
         work_in(&mut farm, 1, 1);
     }
-    assert!(held(&farm) <= 3, "{} of a pace that nobody knows", held(&farm));
+    assert!(held(&farm) <= 3, "{} tasks of unknown pace", held(&farm));
     for _ in 0..5 {
         work_in(&mut farm, 1, 3_000);
-        assert!((1..=3).contains(&held(&farm)), "{} of three seconds", held(&farm));
+        assert!((1..=3).contains(&held(&farm)), "{} tasks of three seconds", held(&farm));
     }
     assert_eq!(held(&farm), 2, "one runs and one waits");
 }

@@ -41,8 +41,8 @@ pub(crate) fn failure(error: &CallError) -> Failure {
 #[derive(Debug, Clone)]
 pub(crate) struct Fetch {
     way: Way,
-    /// Threads that prepare frames. They are not those that render: a cancelled task that builds a large tree is left behind, and the next
-    /// one renders.
+    /// Threads that prepare scenes and frames. Each hand has its own: a cancelled task that builds a large tree keeps them busy after
+    /// its hand is left behind, and the next task must not wait for that.
     pool: Arc<ThreadPool>,
     /// Task that reads these inputs.
     task: Option<Arc<Task>>,
@@ -60,6 +60,11 @@ impl Fetch {
     /// Downloads when they are needed, on this runtime; frames are prepared on `pool`.
     pub(crate) fn blocking(runtime: Handle, pool: Arc<ThreadPool>) -> Self {
         Self { way: Way::Blocking(runtime), pool, task: None }
+    }
+
+    /// The same downloads; frames are prepared on `pool`.
+    pub(crate) fn with_pool(&self, pool: Arc<ThreadPool>) -> Self {
+        Self { pool, ..self.clone() }
     }
 
     /// The same for one task.

@@ -1,4 +1,5 @@
-//! The threads that work: one lane computes, one joins, one thread prepares ahead; all compute on one pool.
+//! The threads that work: one lane computes, one joins, one thread prepares ahead. Both lanes render on one pool, and each of these
+//! threads prepares scenes and frames on a pool of its own.
 //!
 //! A lane is two threads: one that does a task, the hand, and one that waits for it. Rendering notices a cancellation within
 //! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, whose thread runs on
@@ -12,11 +13,13 @@ use std::time::Duration;
 use femc_fault::{Point, pass};
 use femc_model::{Epoch, Failure, JobSpec, Lane, TaskKey};
 use femc_proto::Client;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::clock::Stopwatch;
 use crate::config::WorkerError;
 use crate::execute::{Tools, execute};
 use crate::finish::Finish;
+use crate::nice::Nice;
 use crate::table::{Outcome, Table, Task};
 
 /// A frame that will be needed soon.
@@ -47,7 +50,8 @@ pub(crate) fn start(
         })?;
     }
     let (ahead, frames) = mpsc::channel::<Ahead>();
-    let (Tools { cache, fetch, memory, nice, .. }, table) = (tools.clone(), table.clone());
+    let (Tools { cache, fetch, memory, nice, .. }, table) =
+        (tools.preparing_alone(&format!("{name} ahead"))?, table.clone());
     spawn(format!("{name} prepare"), move || {
         nice.apply();
         for Ahead { spec, frame, client, task } in frames {
@@ -145,7 +149,7 @@ impl Hand {
     fn new(name: &str, tools: &Tools) -> Result<Self, WorkerError> {
         let (tasks, line) = mpsc::channel::<Arc<Task>>();
         let (done, outcomes) = mpsc::channel();
-        let tools = tools.clone();
+        let tools = tools.preparing_alone(name)?;
         let thread = spawn(format!("{name} hand"), move || {
             tools.nice.apply();
             for task in line {
@@ -159,6 +163,24 @@ impl Hand {
         })?;
         Ok(Self { tasks, outcomes, thread })
     }
+}
+
+impl Tools {
+    /// The same tools with threads of their own to prepare scenes and frames.
+    fn preparing_alone(&self, name: &str) -> Result<Self, WorkerError> {
+        let pool = pool(format!("{name} prepare"), self.pool.current_num_threads(), self.nice)?;
+        Ok(Self { fetch: self.fetch.with_pool(pool), ..self.clone() })
+    }
+}
+
+/// Threads that compute.
+/// - `threads`: number of threads; 0: as many as the machine runs at once.
+pub(crate) fn pool(name: String, threads: usize, nice: Nice) -> Result<Arc<ThreadPool>, WorkerError> {
+    let pool = ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .thread_name(move |index| format!("{name} {index}"))
+        .start_handler(move |_| nice.apply());
+    pool.build().map(Arc::new).map_err(|error| WorkerError::Threads(error.to_string()))
 }
 
 fn spawn(name: String, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, WorkerError> {

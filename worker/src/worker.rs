@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use femc_model::{Refusal, Registration};
 use femc_proto::{CallError, Client, Why};
-use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 use tracing::Instrument as _;
@@ -54,32 +53,21 @@ impl Worker {
 
     async fn work(config: Config, stop: Pin<Box<dyn Future<Output = ()> + Send + '_>>) -> Result<(), WorkerError> {
         let nice = Nice::tried(config.nice)?;
-        let pool = |name: String| -> Result<Arc<ThreadPool>, WorkerError> {
-            let pool = ThreadPoolBuilder::new()
-                .num_threads(config.threads)
-                .thread_name(move |index| format!("{name} {index}"))
-                .start_handler(move |_| nice.apply());
-            pool.build().map(Arc::new).map_err(|error| WorkerError::Threads(error.to_string()))
-        };
-        let rendering = pool(config.name.clone())?;
-        let preparing = match config.hands {
-            Hands::Threads => pool(format!("{} prepare", config.name))?,
-            Hands::Simulated(_) => rendering.clone(),
-        };
+        let pool = threads::pool(config.name.clone(), config.threads, nice)?;
         let registration = Registration {
             name: config.name.clone(),
             instance: config.instance,
             engine: config.engine.clone(),
-            threads: rendering.current_num_threads() as u32,
+            threads: pool.current_num_threads() as u32,
             slots: 1,
             tags: offered(&config.tags),
             held: Vec::new(),
             died: None,
         };
         let tools = Tools {
-            pool: rendering,
+            pool: pool.clone(),
             cache: config.cache.clone(),
-            fetch: Fetch::blocking(Handle::current(), preparing),
+            fetch: Fetch::blocking(Handle::current(), pool),
             memory: Memory::new(config.memory.clone()),
             nice,
             journal: config.journal.clone(),

@@ -74,6 +74,7 @@ fn job(frames: u32, tiles: u32) -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     }
 }
 

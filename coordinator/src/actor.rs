@@ -5,16 +5,19 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use femc_fault::{Point, pass, pass_async};
 use femc_model::{
-    Crew, Digest, Failure, FromWorker, JobId, JobStatus, Refusal, TaskFilter, TaskPage, TaskUsage, Tick, ToWorker,
-    WorkerId,
+    Crew, Digest, Failure, FromWorker, JobId, JobStatus, Month, OwnerUsage, Refusal, TaskFilter, TaskPage, TaskUsage,
+    Tick, ToWorker, WorkerId,
 };
 use femc_proto::{AttemptPage, Backup, Call, Changes, JobShape, Listing, News, References, Reply, Session};
 use femc_queue::{Batch, Note, Queue, QueueError, Remedy};
 use femc_schedule::{Command, Event, Fact, RequestId, Roster, Scheduler, SnapshotError};
 use femc_store::Store;
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::Instant;
 
+use crate::announce::Announcer;
 use crate::attempts::{self, Ended};
 use crate::clock::Clock;
 use crate::config::{Config, CoordinatorError};
@@ -61,6 +64,7 @@ enum Question {
     Tasks(JobId, TaskFilter, u64, usize, Reply<TaskPage>),
     Attempts(JobId, u64, Reply<AttemptPage>),
     Workers(Reply<Crew>),
+    Usage(Reply<Vec<OwnerUsage>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
     Done(Reply<()>),
     References(Reply<References>),
@@ -75,6 +79,8 @@ pub(crate) struct Actor<Q> {
     pub(crate) clock: Clock,
     /// Unix time in milliseconds at which the farm's clock began, where the date is not the machine's.
     date_zero: Option<u64>,
+    /// The month that the scheduler knows of.
+    month: Option<Month>,
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
     /// Whose sessions have begun and are not welcomed yet.
     joined: Vec<WorkerId>,
@@ -113,6 +119,7 @@ pub(crate) struct Actor<Q> {
     pub(crate) metrics: Metrics,
     /// Who wants to know how much there is of everything.
     pub(crate) watchers: mpsc::Receiver<oneshot::Sender<Now>>,
+    pub(crate) announcer: Announcer,
     pub(crate) disks: Disks,
     /// When these were looked at.
     pub(crate) looked: Instant,
@@ -147,6 +154,7 @@ impl<Q: Queue> Actor<Q> {
         Self {
             clock: Clock::from(scheduler.ledger().now(), config.time.clone()),
             date_zero: config.scheduler.clock_zero,
+            month: None,
             scheduler,
             queue,
             store,
@@ -174,6 +182,7 @@ impl<Q: Queue> Actor<Q> {
             put_off: VecDeque::new(),
             metrics: config.metrics.clone(),
             watchers,
+            announcer: Announcer::new(config.announce.clone()),
             disks,
             looked: Instant::now(),
         }
@@ -184,6 +193,7 @@ impl<Q: Queue> Actor<Q> {
         let mut timer = tokio::time::interval(Self::TIMER);
         timer.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         let mut commands = Vec::new();
+        self.announce_all();
         loop {
             tokio::select! {
                 biased;
@@ -193,6 +203,7 @@ impl<Q: Queue> Actor<Q> {
                         tracing::warn!(seconds = due.elapsed().as_secs_f64(), "stood still; workers are heard first");
                         self.hear(Event::LoopStalled, &mut commands);
                     }
+                    self.note_month(&mut commands);
                     self.hear(Event::Elapsed, &mut commands);
                     self.look_after(&mut commands, &mut doors).await?;
                 }
@@ -201,6 +212,9 @@ impl<Q: Queue> Actor<Q> {
                 Some((worker, event)) = self.heard.recv() => self.session_event(worker, event, &mut commands),
                 Some(call) = doors.calls.recv() => self.call(call, &mut commands),
                 Some(watcher) = self.watchers.recv() => self.show(watcher),
+                Some((job, ended)) = self.announcer.told.recv() => {
+                    self.hear(Event::Announced { job, ended }, &mut commands);
+                }
             }
             for _ in 0..Self::BATCH {
                 if let Some((worker, event)) = self.put_off.pop_front() {
@@ -299,12 +313,26 @@ impl<Q: Queue> Actor<Q> {
         u64::try_from(date.as_millis()).ok()
     }
 
+    /// Tells the scheduler the month, by which usage is summed.
+    fn note_month(&mut self, commands: &mut Vec<Command>) {
+        let date = self.date().and_then(|date| Timestamp::from_millisecond(i64::try_from(date).ok()?).ok());
+        let date = date.map(|date| date.to_zoned(TimeZone::UTC).date());
+        let month = date.and_then(|date| Month::new(date.year().try_into().ok()?, date.month().try_into().ok()?));
+        if let Some(month) = month.filter(|month| self.month != Some(*month)) {
+            self.month = Some(month);
+            self.hear(Event::Month(month), commands);
+        }
+    }
+
     fn call(&mut self, call: Call, commands: &mut Vec<Command>) {
         match call {
             Call::Submit { key, reply, .. }
                 if !self.is_known(key.as_deref())
                     && let Some(no) = self.disks.refusal() =>
             {
+                drop(reply.send(Err(no)));
+            }
+            Call::Submit { spec, reply, .. } if let Err(no) = self.announcer.config().check(&spec.notes) => {
                 drop(reply.send(Err(no)));
             }
             Call::Submit { key, spec, reply } => {
@@ -344,6 +372,7 @@ impl<Q: Queue> Actor<Q> {
             }
             Call::Attempts { job, from, reply } => self.questions.push(Question::Attempts(job, from, reply)),
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
+            Call::Usage { reply } => self.questions.push(Question::Usage(reply)),
             Call::References { reply } => self.questions.push(Question::References(reply)),
             Call::Backup { reply } => self.questions.push(Question::Backup(reply)),
         }
@@ -469,6 +498,7 @@ impl<Q: Queue> Actor<Q> {
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
                 Question::Done(reply) => drop(reply.send(Ok(()))),
                 Question::Workers(reply) => drop(reply.send(Ok(self.crew()))),
+                Question::Usage(reply) => drop(reply.send(Ok(self.scheduler.usage_by_owner()))),
                 Question::References(reply) => drop(reply.send(Ok(self.references()))),
                 Question::Backup(reply) => {
                     let copied = self.queue.copy().await;

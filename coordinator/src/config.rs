@@ -10,6 +10,7 @@ use femc_schedule::SnapshotError;
 use femc_store::StoreError;
 use femc_trust::Audit;
 
+use crate::announce::Announce;
 use crate::clock::Time;
 use crate::metrics::Metrics;
 
@@ -62,6 +63,8 @@ pub struct Config {
     pub limits: Limits,
     /// Where changes and refusals are noted.
     pub audit: Option<Audit>,
+    /// Who is told of the ends of jobs.
+    pub announce: Announce,
     /// What browsers are shown.
     pub site: Site,
     /// Place of the log.
@@ -90,6 +93,7 @@ impl Default for Config {
             entrance: None,
             limits: Limits::default(),
             audit: None,
+            announce: Announce::default(),
             site: Site::default(),
             log: Log::Memory,
             artifacts: Artifacts::Memory,

@@ -42,6 +42,7 @@ impl<Q: Queue> Actor<Q> {
                         touched.extend(&concerned);
                     }
                     self.changed.extend(concerned);
+                    self.announce(job);
                 }
                 Command::Discard(digests) => self.janitor.note(self.clock.now(), digests),
             }

@@ -8,6 +8,7 @@
 #![deny(missing_docs)]
 
 mod actor;
+mod announce;
 mod any_queue;
 mod attempts;
 mod clock;
@@ -22,6 +23,7 @@ mod start;
 mod wait;
 
 pub use actor::ROSTER;
+pub use announce::{Announce, KeyError, NotifyKey, PrefixError, UrlPrefix};
 pub use clock::Time;
 pub use config::{Artifacts, Config, CoordinatorError, Exposure, Log};
 pub use femc_proto::{Entrance, Files, Limits, Site};

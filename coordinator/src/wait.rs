@@ -134,6 +134,7 @@ impl<Q: Queue> Actor<Q> {
             Call::Tasks { reply, .. } => refuse(reply, no()),
             Call::Attempts { reply, .. } => refuse(reply, no()),
             Call::Workers { reply } => refuse(reply, no()),
+            Call::Usage { reply } => refuse(reply, no()),
             Call::Lost { reply, .. } => refuse(reply, no()),
             Call::References { reply } => refuse(reply, no()),
             Call::Backup { reply } => refuse(reply, no()),

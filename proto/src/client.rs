@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use femc_model::{
     Artifact, Attempts, Control, Crew, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
-    LogRecord, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
+    LogRecord, OwnerUsage, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
 use tokio::io::{AsyncWrite, AsyncWriteExt as _};
@@ -234,6 +234,12 @@ impl Client {
         let reply =
             self.jobs().list_workers(wire::ListWorkersRequest {}).await.map_err(|status| self.error(&status))?;
         Ok(reply.into_inner().try_into()?)
+    }
+
+    /// What the owners' jobs used of the farm, by month and owner.
+    pub async fn usage(&self) -> Result<Vec<OwnerUsage>, CallError> {
+        let reply = self.jobs().usage(wire::UsageRequest {}).await.map_err(|status| self.error(&status))?;
+        Ok(each(reply.into_inner().usage)?)
     }
 
     /// Gives workers no more tasks, or tasks again; returns the sessions that it was done to.

@@ -419,7 +419,8 @@ impl Chronicle {
         let is_so = |standing: Standing| match control {
             Control::Pause => standing.hold == Hold::Paused,
             Control::Resume => standing.hold == Hold::Free,
-            Control::Cancel => false,
+            // A job that was deleted is not there.
+            Control::Cancel | Control::Delete => false,
             Control::Retry | Control::RetryFrames(_) => standing.hold != Hold::Cancelled && !standing.doomed,
             Control::Priority(priority) => standing.priority == *priority,
         };
@@ -468,7 +469,7 @@ impl Record {
             Control::Cancel => Standing { hold: Hold::Cancelled, ..before },
             Control::Retry => Standing { hold: Hold::Free, doomed: false, ..before },
             Control::Priority(priority) => Standing { priority: *priority, ..before },
-            Control::RetryFrames(_) => before,
+            Control::RetryFrames(_) | Control::Delete => before,
         };
         self.stands(place, after);
         match control {
@@ -477,7 +478,7 @@ impl Record {
                 self.doom = None;
             }
             Control::RetryFrames(frames) => self.troubles.retain(|task, _| !frames.contains(&task.stage.frame)),
-            Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) => {}
+            Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) | Control::Delete => {}
         }
     }
 }

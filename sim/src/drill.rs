@@ -2,7 +2,7 @@
 //! without a farm.
 
 use bytes::Bytes;
-use femc_model::{Digest, Graph, Grid, JobSpec, Need, Reach, Role, Round, Scope, Sizes, StageKind, Template};
+use femc_model::{Digest, Graph, Grid, JobNotes, JobSpec, Need, Reach, Role, Round, Scope, Sizes, StageKind, Template};
 
 use femc_schedule::Config;
 
@@ -103,6 +103,7 @@ pub(crate) fn stage(number: u64) -> Stage {
         priority: 50,
         owner: "me".into(),
         tags: Vec::new(),
+        notes: JobNotes::default(),
     };
     let key = femc_worker::drill_key(&spec);
     spec.contents = key.into_iter().map(|key| (FRAMES.len() as u32, key)).collect();

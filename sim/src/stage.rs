@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use bytes::Bytes;
 use femc_film::{Frame, Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
-use femc_model::{Digest, Grid, JobSpec, Role};
+use femc_model::{Digest, Grid, JobNotes, JobSpec, Role};
 use femc_pipeline::{Method, Settings, Stop};
 use femc_schedule::Config;
 use femc_worker::{Cache, graph};
@@ -215,6 +215,7 @@ fn rendered(scene: &str, (method, blocks): (Method, u32), rounds: &[u32], seed: 
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     };
     Ok(Stage { spec, bundle: bytes.into(), result: Role::Image, digests, light: (method, blocks) })
 }

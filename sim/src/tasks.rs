@@ -264,13 +264,16 @@ pub(crate) fn behind(spec: &JobSpec, stage: &Stage, item: u32) -> BTreeSet<(Stag
 /// The job that a record is about.
 pub(crate) fn job_of(fact: &Fact) -> Option<JobId> {
     match fact {
-        Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } | Fact::Lives { .. } => None,
+        Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } | Fact::Metered { .. } | Fact::Lives { .. } => {
+            None
+        }
         Fact::Submitted { job, .. }
         | Fact::Shared { job, .. }
         | Fact::Restarted { job, .. }
         | Fact::Doomed { job, .. }
         | Fact::Controlled { job, .. }
         | Fact::Built { job, .. }
+        | Fact::Announced { job, .. }
         | Fact::Forgotten { job } => Some(*job),
         Fact::Done { task, .. } | Fact::Failed { task, .. } | Fact::Died { task, .. } | Fact::Lost { task } => {
             Some(task.job)

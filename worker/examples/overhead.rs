@@ -11,7 +11,7 @@ use std::time::Instant;
 use femc_coordinator::{Artifacts, Config, Coordinator, Log};
 use femc_film::{Frame, Tiling};
 use femc_import::{Bundle, Disk, Files as _};
-use femc_model::{Grid, JobSpec};
+use femc_model::{Grid, JobNotes, JobSpec};
 use femc_pipeline::{Settings, Stop};
 use femc_proto::Client;
 use femc_worker::{Parcel, Worker};
@@ -71,6 +71,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         priority: 50,
         owner: "bench".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     };
     client.put_all(&scene.artifacts()).await?;
     let job = client.submit(None, spec).await?;

@@ -496,7 +496,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 pub(crate) mod tests {
     use std::sync::Arc;
 
-    use femc_model::{Artifact, Graph, Grid, JobId, More, Output, Role, Stage, StageKind, Taken, Work};
+    use femc_model::{Artifact, Graph, Grid, JobId, JobNotes, More, Output, Role, Stage, StageKind, Taken, Work};
     use femc_proto::Client;
 
     use super::*;
@@ -515,6 +515,7 @@ pub(crate) mod tests {
             priority: 50,
             owner: "me".into(),
             tags: vec![],
+            notes: JobNotes::default(),
         }
     }
 

@@ -2,12 +2,14 @@
 
 mod extras;
 mod metrics;
+mod notes;
 mod select;
 mod settings;
 mod values;
 
 pub use extras::ExtrasArgs;
 pub use metrics::MetricsArgs;
+pub use notes::{NotesArgs, job_name};
 pub use select::{SelectArgs, fits};
 pub use settings::{SettingsArgs, Stats};
 pub use values::{Filter, Method};

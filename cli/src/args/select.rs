@@ -1,5 +1,6 @@
 //! Which jobs are meant.
 
+use super::notes::label;
 use clap::Args;
 use femc_model::JobStatus;
 
@@ -12,18 +13,25 @@ pub struct SelectArgs {
     /// Jobs of this name; * stands for any text, like 'fog-*'
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
+    /// Jobs that have this label; may be given again
+    #[arg(long = "label", value_name = "NAME=VALUE", value_parser = label)]
+    pub labels: Vec<(String, String)>,
 }
 
 impl SelectArgs {
     /// Whether nothing was said.
     pub fn is_empty(&self) -> bool {
-        self.owner.is_none() && self.name.is_none()
+        self.owner.is_none() && self.name.is_none() && self.labels.is_empty()
     }
 
     /// Whether a job is meant.
     pub fn holds(&self, job: &JobStatus) -> bool {
         self.owner.as_ref().is_none_or(|owner| *owner == job.owner)
             && self.name.as_ref().is_none_or(|name| fits(name, &job.name))
+            && self
+                .labels
+                .iter()
+                .all(|(name, value)| job.notes.labels.get(name).is_some_and(|other| fits(value, other)))
     }
 }
 

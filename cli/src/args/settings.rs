@@ -23,7 +23,7 @@ pub struct SettingsArgs {
     /// Film size in pixels [default: the camera's]
     #[arg(long, value_name = "WxH")]
     pub size: Option<Size>,
-    /// Frames of the clip: K, A..B (B included) or A..B+STEP [default: all]
+    /// Frames of the clip: K, A..B (B included) or A..B+STEP, with commas between several [default: all]
     #[arg(long, value_name = "FRAMES")]
     pub frames: Option<Frames>,
     /// Stop at N samples a pixel

@@ -6,7 +6,7 @@ use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{
     Artifact, Attempts, Control, Crew, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus,
-    LogRecord, Refusal, Stage, Tick, WorkerId, WorkerName,
+    LogRecord, OwnerUsage, Refusal, Stage, Tick, WorkerId, WorkerName,
 };
 use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, Found, JobShape, Listing, Why};
 use femc_worker::Parcel;
@@ -212,6 +212,11 @@ impl Farm {
         self.client.drain(worker, drain).await.map_err(map_call_error)
     }
 
+    /// What the owners' jobs used of the farm, by month and owner.
+    pub async fn usage(&self) -> Result<Vec<OwnerUsage>, Failure> {
+        self.client.usage().await.map_err(map_call_error)
+    }
+
     /// The workers that are there, and those that were.
     pub async fn crew(&self) -> Result<Crew, Failure> {
         self.client.crew().await.map_err(map_call_error)
@@ -365,6 +370,7 @@ pub fn job_spec(asked: &Asked, scene: &Parcel, frames: Vec<u32>) -> Result<JobSp
         priority: asked.priority.unwrap_or(DEFAULT_PRIORITY),
         owner: user(),
         tags: asked.tags.clone(),
+        notes: asked.notes.clone(),
     })
 }
 

@@ -1,4 +1,4 @@
-//! `femc pause|resume|cancel|retry JOB..` and `femc priority JOB N`: steer jobs.
+//! `femc pause|resume|cancel|retry|delete JOB..` and `femc priority JOB N`: steer jobs.
 
 use super::client::{self, Farm};
 use crate::args::{SelectArgs, ServerArgs};
@@ -7,13 +7,12 @@ use crate::output::{Say, human, job as show};
 use crate::values::Frames;
 use clap::Args;
 use femc_model::{Control, JobId, JobState, JobStatus, Wait};
-use std::collections::BTreeSet;
 
 /// Jobs and their farm.
 #[derive(Debug, Args)]
 pub struct JobsArgs {
     /// The jobs' numbers, as `submit` printed them
-    #[arg(value_name = "JOB", required_unless_present_any = ["owner", "name"], conflicts_with_all = ["owner", "name"])]
+    #[arg(value_name = "JOB", required_unless_present_any = ["owner", "name", "labels"], conflicts_with_all = ["owner", "name", "labels"])]
     jobs: Vec<u64>,
     #[command(flatten)]
     select: SelectArgs,
@@ -26,9 +25,9 @@ pub struct JobsArgs {
 pub struct RetryArgs {
     #[command(flatten)]
     jobs: JobsArgs,
-    /// Only these frames: K, A..B or A..B+STEP, with commas between them; a pause stays
-    #[arg(long, value_name = "FRAMES", value_delimiter = ',', conflicts_with_all = ["owner", "name"])]
-    frames: Vec<Frames>,
+    /// Only these frames: K, A..B or A..B+STEP, with commas between several; a pause stays
+    #[arg(long, value_name = "FRAMES", conflicts_with_all = ["owner", "name", "labels"])]
+    frames: Option<Frames>,
 }
 
 /// A job, its farm and a priority.
@@ -47,43 +46,41 @@ pub struct PriorityArgs {
 
 /// Do `control` to the jobs: to each, whatever becomes of the others.
 pub fn run(args: &JobsArgs, control: &Control, say: Say) -> Result<Exit, Failure> {
-    do_to(args, control, &[], say)
+    do_to(args, control, None, say)
 }
 
 /// Try again what failed, of all frames or of some.
 pub fn retry(args: &RetryArgs, say: Say) -> Result<Exit, Failure> {
-    do_to(&args.jobs, &Control::Retry, &args.frames, say)
+    do_to(&args.jobs, &Control::Retry, args.frames.as_ref(), say)
 }
 
-fn do_to(args: &JobsArgs, control: &Control, frames: &[Frames], say: Say) -> Result<Exit, Failure> {
+fn do_to(args: &JobsArgs, control: &Control, frames: Option<&Frames>, say: Say) -> Result<Exit, Failure> {
     client::block_on(&args.server, async |farm| {
         let jobs =
             if args.select.is_empty() { args.jobs.clone() } else { selected(&args.select, control, farm).await? };
         if jobs.is_empty() {
-            return Err(usage("no job of this owner and name to which this could be done; `femc jobs` lists them"));
+            return Err(usage(
+                "no job of this owner, name and label to which this could be done; `femc jobs` lists them",
+            ));
         }
         steer(farm, &jobs, control, frames, say).await
     })
 }
 
 /// The numbers of the frames, if all of them are the job's.
-async fn named(farm: &Farm, job: JobId, frames: &[Frames]) -> Result<Vec<u32>, Failure> {
+async fn named(farm: &Farm, job: JobId, frames: &Frames) -> Result<Vec<u32>, Failure> {
     let there = farm.spec(job).await?.frames;
-    let mut named = BTreeSet::new();
-    for frames in frames {
-        named.extend(frames.among(&there).map_err(|frame| {
-            let (first, last) = (there.first().unwrap_or(&0), there.last().unwrap_or(&0));
-            let count = human::count(there.len() as u64, "frame");
-            usage(format!("job {job} has no frame {frame}: it has {count}, from {first} to {last}"))
-        })?);
-    }
-    Ok(named.into_iter().collect())
+    frames.among(&there).map_err(|frame| {
+        let (first, last) = (there.first().unwrap_or(&0), there.last().unwrap_or(&0));
+        let count = human::count(there.len() as u64, "frame");
+        usage(format!("job {job} has no frame {frame}: it has {count}, from {first} to {last}"))
+    })
 }
 
 /// Change the priority.
 pub fn prioritize(args: &PriorityArgs, say: Say) -> Result<Exit, Failure> {
     let control = Control::Priority(args.priority);
-    client::block_on(&args.server, async |farm| steer(farm, &[args.job], &control, &[], say).await)
+    client::block_on(&args.server, async |farm| steer(farm, &[args.job], &control, None, say).await)
 }
 
 /// The jobs that are meant and to which this can be done.
@@ -94,30 +91,35 @@ async fn selected(select: &SelectArgs, control: &Control, farm: &Farm) -> Result
         }
         Control::Resume => job.state == JobState::Paused,
         Control::Pause | Control::Cancel | Control::Priority(_) => !job.state.has_ended(),
+        Control::Delete => job.state.has_ended(),
     };
     let jobs = farm.listing().await?.jobs;
     Ok(jobs.iter().filter(|job| select.holds(job) && can(job)).map(|job| job.job.0).collect())
 }
 
-/// - `frames`: those to which a retry is limited; all where none is named.
-async fn steer(farm: &Farm, jobs: &[u64], control: &Control, frames: &[Frames], say: Say) -> Result<Exit, Failure> {
-    let done = match control {
-        Control::Pause => "is paused; `femc resume` ends that".to_owned(),
-        Control::Resume => "goes on".to_owned(),
-        Control::Cancel => "is cancelled; finished frames stay, and `femc retry` would do the others".to_owned(),
-        Control::Retry if !frames.is_empty() => {
-            let frames: Vec<String> = frames.iter().map(ToString::to_string).collect();
-            format!("tries again what failed of the frames {}", frames.join(", "))
-        }
-        Control::Retry | Control::RetryFrames(_) => "tries again what failed".to_owned(),
-        Control::Priority(priority) => format!("has priority {priority}"),
+/// - `frames`: those to which a retry is limited; `None`: all.
+async fn steer(
+    farm: &Farm,
+    jobs: &[u64],
+    control: &Control,
+    frames: Option<&Frames>,
+    say: Say,
+) -> Result<Exit, Failure> {
+    let done = match (control, frames) {
+        (Control::Pause, _) => "is paused; `femc resume` ends that".to_owned(),
+        (Control::Resume, _) => "goes on".to_owned(),
+        (Control::Cancel, _) => "is cancelled; finished frames stay, and `femc retry` would do the others".to_owned(),
+        (Control::Retry, Some(frames)) => format!("tries again what failed of the frames {frames}"),
+        (Control::Retry | Control::RetryFrames(_), _) => "tries again what failed".to_owned(),
+        (Control::Priority(priority), _) => format!("has priority {priority}"),
+        (Control::Delete, _) => "is deleted".to_owned(),
     };
     let mut failures = Vec::new();
     for &job in jobs {
         let steered = async {
             let control = match frames {
-                [] => control.clone(),
-                frames => Control::RetryFrames(named(farm, JobId(job), frames).await?),
+                None => control.clone(),
+                Some(frames) => Control::RetryFrames(named(farm, JobId(job), frames).await?),
             };
             farm.control(JobId(job), control).await
         };

@@ -10,8 +10,8 @@ use crate::output::Say;
 use crate::values::{Budget, Volume};
 use clap::Args;
 use femc_coordinator::{
-    Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Handle, Log, Loss, Metrics, Postgres,
-    QueueError, Standing,
+    Announce, Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Handle, Log, Loss, Metrics,
+    NotifyKey, Postgres, QueueError, Standing, UrlPrefix,
 };
 use femc_metrics::Report;
 use femc_trust::{Audit, Holder, Identity, Revoked, Tokens};
@@ -26,6 +26,8 @@ use std::time::Duration;
     femc coordinator\n  \
     femc coordinator --listen 127.0.0.1:7878 --store sqlite:farm.db --artifacts artifacts\n  \
     AWS_ENDPOINT_URL=http://minio:9000 AWS_ALLOW_HTTP=true femc coordinator --artifacts s3://farm/artifacts\n  \
+    femc coordinator --on-end 'mail -s \"femc: $FEMC_NAME is $FEMC_STATE\" \"$FEMC_OWNER\"'\n  \
+    femc coordinator --notify-allow https://hooks.example.com/femc/ --notify-key notify.key\n  \
     femc coordinator --share ann=3 --share bob=1    # ann's jobs get three times the time of bob's\n  \
     femc coordinator --store postgres://femc@127.0.0.1/farm --artifacts artifacts    # of several: one leads\n  \
     femc coordinator --listen 127.0.0.1:0    # any free port; the first line on stdout says which\n\n\
@@ -91,6 +93,17 @@ pub struct CoordinatorArgs {
     /// Where changes and refusals are noted, a line of JSON each [default: audit.jsonl beside the log's file]
     #[arg(long, value_name = "FILE")]
     audit: Option<PathBuf>,
+    /// Jobs may name URLs that begin so, to which a message is posted when they have ended (`femc submit --notify`); may be given
+    /// again. Without it no job may: who submits must not reach this machine's network
+    #[arg(long, value_name = "PREFIX", requires = "notify_key")]
+    notify_allow: Vec<UrlPrefix>,
+    /// File with the key by which these messages are signed (Standard Webhooks): 16 bytes or more, or whsec_ and their base64
+    #[arg(long, value_name = "FILE")]
+    notify_key: Option<PathBuf>,
+    /// Command for the shell, run when a job has ended: the job is in FEMC_JOB, FEMC_NAME, FEMC_OWNER, FEMC_STATE, FEMC_FRAMES,
+    /// FEMC_FRAMES_DONE, and as JSON at its standard input
+    #[arg(long, value_name = "COMMAND")]
+    on_end: Option<String>,
     /// Listen, not encrypted, on an address that other machines can reach
     #[arg(long)]
     insecure: bool,
@@ -182,7 +195,11 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
             args.listen
         ));
     }
+    let key = args.notify_key.as_deref().map(NotifyKey::read).transpose();
+    let key = key.map_err(|error| failed(format!("--notify-key: {error}")))?;
+    let announce = Announce { allowed: args.notify_allow, key, on_end: args.on_end };
     let config = Config {
+        announce,
         listen: args.listen,
         exposure,
         entrance,

@@ -37,6 +37,7 @@ pub mod stylize;
 mod subject;
 pub mod submit;
 pub mod sweep;
+pub mod usage;
 pub mod watch;
 pub mod worker;
 pub mod workers;
@@ -98,6 +99,7 @@ pub enum Command {
     Logs(logs::LogsArgs),
     Stats(stats::StatsArgs),
     Report(report::ReportArgs),
+    Usage(usage::UsageArgs),
     Workers(workers::WorkersArgs),
     Drain(drain::DrainArgs),
     Gc(gc::GcArgs),
@@ -117,6 +119,10 @@ pub enum Command {
         Of a job that is done, and of the frames that are named, the images are read: frames whose image is damaged or gone are\n\
         rendered again.")]
     Retry(control::RetryArgs),
+    /// Delete jobs that have ended, with their frames and logs
+    #[command(after_help = "Examples:\n  femc delete 7\n  femc delete --owner ann --name 'test-*'\n\n\
+        What no other job refers to is removed from the store later (`femc gc`). `femc usage` keeps its sums.")]
+    Delete(control::JobsArgs),
     /// Change a job's priority
     Priority(control::PriorityArgs),
     /// Print a completion script for a shell
@@ -169,6 +175,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Status(args) => status::run(&args, say),
         Command::Watch(args) => watch::run(&args, say),
         Command::Fetch(args) => fetch::run(&args, say),
+        Command::Usage(args) => usage::run(&args, say),
         Command::Workers(args) => workers::run(&args, say),
         Command::Report(args) => report::run(&args, say),
         Command::Stats(args) => stats::run(&args, say),
@@ -181,6 +188,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Resume(args) => control::run(&args, &Control::Resume, say),
         Command::Cancel(args) => control::run(&args, &Control::Cancel, say),
         Command::Retry(args) => control::retry(&args, say),
+        Command::Delete(args) => control::run(&args, &Control::Delete, say),
         Command::Priority(args) => control::prioritize(&args, say),
         Command::Completions { shell } => completions::run(shell, Cli::command()),
     }

@@ -2,7 +2,7 @@
 
 use super::client;
 use super::render::{PaintingArgs, ask_for_layers};
-use crate::args::{ExtrasArgs, FormatArgs, ServerArgs, SettingsArgs};
+use crate::args::{ExtrasArgs, FormatArgs, NotesArgs, ServerArgs, SettingsArgs, job_name};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
 use crate::request::Asked;
@@ -20,6 +20,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:\n  \
     femc submit scenes/roundabout.mgf --frames 1..120 --size 192x108 --spp 24\n  \
     femc submit job.toml --priority 80\n  \
+    femc submit scene.mgf --frames 1,5,9 --name draft --comment 'before the change of lamps' --label shot=12\n  \
     femc submit scenes/roundabout.mgf --frames 1..48 --style oil    # `femc fetch` gets FRAME.painted.png, too\n  \
     femc submit scenes/roundabout.mgf --frames 1..48 --video drive.mp4 --contact-sheet drive.png    # `femc fetch` gets them, too\n  \
     job=$(femc submit scene.mgf | tail -1); femc watch $job && femc fetch $job -o out\n\n\
@@ -29,6 +30,11 @@ pub struct SubmitArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE|JOB.toml")]
     scene: PathBuf,
+    /// Name of the job and of its files [default: that of the scene file]
+    #[arg(long, value_name = "NAME", value_parser = job_name)]
+    name: Option<String>,
+    #[command(flatten)]
+    notes: NotesArgs,
     /// 0 to 100, greater goes first [default: 50]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
     priority: Option<u8>,
@@ -67,6 +73,7 @@ pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
     }
     let asked = Asked::open(&args.scene, args.settings, say)?.decided()?;
     asked.explain(say);
+    let notes = args.notes.over(asked.notes.clone())?;
     asked.warn_of_lost_light(say);
     let wish = Wish { painting, ..args.extras.wish(asked.rate(&asked.plan.frames))? };
     let scene = asked.parcel()?;
@@ -77,6 +84,8 @@ pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
         wish.add_to(&mut spec.graph, spec.frames.len() as u32);
         spec.priority = args.priority.unwrap_or(spec.priority);
         spec.owner = args.owner.unwrap_or(spec.owner);
+        spec.name = args.name.unwrap_or(spec.name);
+        spec.notes = notes;
         if !args.tags.is_empty() {
             spec.tags = args.tags;
         }

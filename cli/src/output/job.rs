@@ -101,6 +101,13 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
         human::seconds(job.seconds),
         human::count(job.workers.into(), "worker")
     ));
+    if !job.notes.comment.is_empty() {
+        lines.push(format!("comment  {}", job.notes.comment));
+    }
+    if !job.notes.labels.is_empty() {
+        let labels: Vec<String> = job.notes.labels.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        lines.push(format!("labels   {}", labels.join(", ")));
+    }
     lines.extend(age(job).map(|age| format!("age      {age} since it was submitted")));
     if job.copies > 0 {
         lines.push(format!("copies   {} given to a second worker", human::count(job.copies, "late task")));

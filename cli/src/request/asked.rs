@@ -10,6 +10,7 @@ use crate::threads;
 use crate::values::{Frames, Size};
 use femc_fault::{Pretense, pretended};
 use femc_import::{Bundle, ImportErrors, Loaded, ScenePath, Warning};
+use femc_model::JobNotes;
 use femc_pipeline::auto::{self, Choice};
 use femc_pipeline::{
     DarkLayer, FIRST_PASS, Feature, Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source,
@@ -47,6 +48,10 @@ pub struct Asked {
     pub priority: Option<u8>,
     /// Tags of a job file.
     pub tags: Vec<String>,
+    /// Name of a job file.
+    pub given_name: Option<String>,
+    /// Notes of a job file.
+    pub notes: JobNotes,
 }
 
 /// Who chose the frames.
@@ -109,6 +114,7 @@ impl Base {
         let settings = Settings { layers, features, ..settings };
         let frames = typed
             .frames
+            .as_ref()
             .map(|frames| frames.resolve(scene.frame_count()))
             .transpose()
             .map_err(|e| usage(format!("{}: {e}", named("frames"))))?;
@@ -126,6 +132,8 @@ impl Base {
             threads: typed.threads,
             priority: None,
             tags: Vec::new(),
+            given_name: None,
+            notes: JobNotes::default(),
         })
     }
 }
@@ -146,7 +154,7 @@ impl Asked {
             let settings = typed.over(job.settings.clone());
             let base = Base::open(&job.scene, settings.root.as_deref(), say)?;
             let asked = base.ask(&settings, &|key| job.at(key))?;
-            Self { priority: job.priority, tags: job.tags, ..asked }
+            Self { priority: job.priority, tags: job.tags, given_name: job.name, notes: job.notes, ..asked }
         } else {
             Base::open(path, typed.root.as_deref(), say)?.ask(&typed, &|_| None)?
         };
@@ -250,8 +258,12 @@ impl Asked {
         self.place.entry().to_owned()
     }
 
-    /// The scene file's stem: the first part of frames' names.
+    /// Name of a job file, or the scene file's stem: the first part of frames' names.
     pub fn name(&self) -> String {
+        self.given_name.clone().unwrap_or_else(|| self.stem())
+    }
+
+    fn stem(&self) -> String {
         self.path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
 

@@ -1,22 +1,44 @@
 use serde::Deserialize;
 use serde::de::{Deserializer, Error as _};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-/// A choice of frames as typed: `K`, `A..B` (inclusive) or `A..B+STEP`; or as Open Job Description writes it, `A-B` or
-/// `A-B:STEP`. Frames count from 1.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// A choice of frames as typed: runs with commas between them, each `K`, `A..B` (inclusive) or `A..B+STEP`; or as Open Job
+/// Description writes it, `A-B` or `A-B:STEP`. Frames count from 1.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frames {
+    /// At least one.
+    runs: Vec<Run>,
+}
+
+/// Frames of one distance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Run {
     first: u32,
     last: u32,
     step: u32,
 }
 
+impl Run {
+    /// The last frame that a step reaches.
+    fn end(self) -> u32 {
+        self.first + (self.last - self.first) / self.step * self.step
+    }
+
+    /// Its frames, ascending.
+    fn frames(self) -> impl Iterator<Item = u32> {
+        (self.first..=self.end()).step_by(self.step as usize)
+    }
+}
+
 /// Why a choice of frames is refused.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FramesError {
-    /// Not of the three forms.
-    #[error("`{0}` names no frames; write K, A..B (B included) or A..B+STEP, like 7, 1..120 or 1..120+10")]
+    /// Not of these forms.
+    #[error(
+        "`{0}` names no frames; write K, A..B (B included) or A..B+STEP, with commas between several, like 7, 1..120, 1..120+10 or 1,5,9"
+    )]
     Form(String),
     /// Frame 0.
     #[error("frames count from 1")]
@@ -54,7 +76,7 @@ impl fmt::Display for Available {
 impl Frames {
     /// This frame, >= 1.
     pub fn one(frame: u32) -> Self {
-        Self { first: frame, last: frame, step: 1 }
+        Self { runs: vec![Run { first: frame, last: frame, step: 1 }] }
     }
 
     /// These frames, ascending and not empty, if they have the same distance all along.
@@ -63,27 +85,43 @@ impl Frames {
         let (&first, &last) = (frames.first()?, frames.last()?);
         let step = frames.get(1).map_or(1, |second| second - first);
         let is_even = frames.windows(2).all(|pair| pair[1] - pair[0] == step);
-        is_even.then_some(Self { first, last, step })
+        is_even.then(|| Self { runs: vec![Run { first, last, step }] })
     }
 
     /// Its frames that `frames` has, ascending; the first that it has not, otherwise.
     /// - `frames`: ascending.
-    pub fn among(self, frames: &[u32]) -> Result<Vec<u32>, u32> {
-        let named = (self.first..=self.last).step_by(self.step as usize);
-        named.map(|frame| frames.binary_search(&frame).map(|_| frame).map_err(|_| frame)).collect()
+    pub fn among(&self, frames: &[u32]) -> Result<Vec<u32>, u32> {
+        let mut named = BTreeSet::new();
+        for frame in self.runs.iter().flat_map(|run| run.frames()) {
+            // The first missing frame ends this, so that a run of billions is not walked.
+            frames.binary_search(&frame).map_err(|_| frame)?;
+            named.insert(frame);
+        }
+        Ok(named.into_iter().collect())
     }
 
-    /// The frames named, ascending, given that the clip has frames 1..=`available`.
-    pub fn resolve(self, available: u32) -> Result<Vec<u32>, FramesError> {
-        let last = self.first + (self.last - self.first) / self.step * self.step;
+    /// The frames named, ascending and each once, given that the clip has frames 1..=`available`.
+    pub fn resolve(&self, available: u32) -> Result<Vec<u32>, FramesError> {
+        let last = self.runs.iter().map(|run| run.end()).max().unwrap_or(0);
         if last > available {
             return Err(FramesError::Beyond { wanted: last, available });
         }
-        Ok((self.first..=last).step_by(self.step as usize).collect())
+        let named: BTreeSet<u32> = self.runs.iter().flat_map(|run| run.frames()).collect();
+        Ok(named.into_iter().collect())
     }
 }
 
 impl fmt::Display for Frames {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, run) in self.runs.iter().enumerate() {
+            let comma = if place == 0 { "" } else { "," };
+            write!(f, "{comma}{run}")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Run {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { first, last, step } = *self;
         match step {
@@ -98,25 +136,32 @@ impl FromStr for Frames {
     type Err = FramesError;
 
     fn from_str(text: &str) -> Result<Self, FramesError> {
-        let wrong = || FramesError::Form(text.to_owned());
-        let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
-        let ends = text.split_once("..").map(|ends| (ends, '+')).or_else(|| Some((text.split_once('-')?, ':')));
-        let (first, last, step) = match ends {
-            None => {
-                let frame = number(text)?;
-                (frame, frame, 1)
-            }
-            Some(((first, rest), before_step)) => match rest.split_once(before_step) {
-                None => (number(first)?, number(rest)?, 1),
-                Some((last, step)) => (number(first)?, number(last)?, number(step)?),
-            },
-        };
-        match (first, last, step) {
-            (0, _, _) => Err(FramesError::Zero),
-            (_, _, 0) => Err(wrong()),
-            _ if last < first => Err(FramesError::Backwards { first, last }),
-            _ => Ok(Self { first, last, step }),
+        let runs = text
+            .split(',')
+            .map(|part| run(part).map_err(|fault| fault.unwrap_or_else(|| FramesError::Form(text.to_owned()))));
+        Ok(Self { runs: runs.collect::<Result<_, _>>()? })
+    }
+}
+
+/// One run of a choice; without an error where it has no form.
+fn run(text: &str) -> Result<Run, Option<FramesError>> {
+    let number = |text: &str| text.trim().parse::<u32>().map_err(|_| None);
+    let ends = text.split_once("..").map(|ends| (ends, '+')).or_else(|| Some((text.split_once('-')?, ':')));
+    let (first, last, step) = match ends {
+        None => {
+            let frame = number(text)?;
+            (frame, frame, 1)
         }
+        Some(((first, rest), before_step)) => match rest.split_once(before_step) {
+            None => (number(first)?, number(rest)?, 1),
+            Some((last, step)) => (number(first)?, number(last)?, number(step)?),
+        },
+    };
+    match (first, last, step) {
+        (0, _, _) => Err(Some(FramesError::Zero)),
+        (_, _, 0) => Err(None),
+        _ if last < first => Err(Some(FramesError::Backwards { first, last })),
+        _ => Ok(Run { first, last, step }),
     }
 }
 
@@ -153,6 +198,16 @@ mod tests {
     }
 
     #[test]
+    fn several_are_named_with_commas_in_any_order_and_each_counts_once() {
+        assert_eq!(resolved("9,1,5", 10), Ok(vec![1, 5, 9]));
+        assert_eq!(resolved("3..5, 4, 1..9+4", 10), Ok(vec![1, 3, 4, 5, 9]));
+        assert_eq!("9, 1..2,4-8:2".parse::<Frames>().map(|frames| frames.to_string()), Ok("9,1..2,4..8+2".to_owned()));
+        assert_eq!(resolved("1,11", 10), Err(FramesError::Beyond { wanted: 11, available: 10 }));
+        let named: Frames = "2,8..9".parse().unwrap();
+        assert_eq!((named.among(&[1, 2, 8, 9]), named.among(&[2, 8])), (Ok(vec![2, 8, 9]), Err(9)));
+    }
+
+    #[test]
     fn frames_may_be_written_as_open_job_description_writes_them() {
         assert_eq!(resolved("2-4", 10), Ok(vec![2, 3, 4]));
         assert_eq!(resolved("1-10:4", 10), Ok(vec![1, 5, 9]));
@@ -173,7 +228,23 @@ mod tests {
 
     #[test]
     fn what_is_no_choice_of_frames_is_refused() {
-        for text in ["", "a", "1..", "..3", "1..3+0", "1..3+", "1-3+2", "1-", "-1", "1.5", "99999999999"] {
+        for text in [
+            "",
+            "a",
+            "1..",
+            "..3",
+            "1..3+0",
+            "1..3+",
+            "1-3+2",
+            "1-",
+            "-1",
+            "1.5",
+            "99999999999",
+            ",",
+            "1,",
+            ",1",
+            "1;2",
+        ] {
             assert_eq!(text.parse::<Frames>(), Err(FramesError::Form(text.to_owned())), "{text}");
         }
     }

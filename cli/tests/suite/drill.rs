@@ -6,8 +6,8 @@ use std::time::Duration;
 use crate::common::{Place, Running, coordinator};
 use bytes::Bytes;
 use femc_model::{
-    Artifact, Control, Graph, Grid, JobId, JobSpec, JobState, Need, Reach, Role, Round, Scope, Sizes, StageKind,
-    TaskKey, Template,
+    Artifact, Control, Graph, Grid, JobId, JobNotes, JobSpec, JobState, Need, Reach, Role, Round, Scope, Sizes,
+    StageKind, TaskKey, Template,
 };
 use femc_proto::Client;
 use femc_queue::Queue as _;
@@ -45,6 +45,7 @@ fn job(name: &str, bundle: Artifact, frames: &[u32]) -> JobSpec {
         priority: 50,
         owner: name.into(),
         tags: vec![],
+        notes: JobNotes::default(),
     };
     let key = femc_worker::drill_key(&spec).expect("a drill");
     spec.contents = vec![(frames.len() as u32, key)];

@@ -59,6 +59,7 @@ fn spec(bundle: Digest) -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     }
 }
 

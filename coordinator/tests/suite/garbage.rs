@@ -77,6 +77,7 @@ fn job(scene: &[Bytes]) -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     }
 }
 

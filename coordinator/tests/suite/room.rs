@@ -95,6 +95,7 @@ fn spec() -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     }
 }
 

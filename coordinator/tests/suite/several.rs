@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log, Standing};
-use femc_model::{Digest, Grid, JobId, JobSpec, testing};
+use femc_model::{Digest, Grid, JobId, JobNotes, JobSpec, testing};
 use femc_proto::{CallError, Client};
 use femc_queue::testing::Scratch;
 use tokio::net::{TcpListener, TcpStream};
@@ -85,6 +85,7 @@ async fn submit(client: &Client) -> JobId {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     };
     client.put(b"bundle".as_slice().into()).await.unwrap();
     client.submit(None, spec).await.unwrap()

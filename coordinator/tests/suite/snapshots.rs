@@ -81,6 +81,7 @@ fn spec() -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     }
 }
 

@@ -19,6 +19,7 @@ fn spec() -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     }
 }
 

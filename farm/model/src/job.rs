@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Graph, GraphError, Grid, Scope, Stage};
+use crate::{Digest, Graph, GraphError, Grid, JobNotes, NotesError, Scope, Stage};
 
 /// A job as it was submitted; it never changes, but for its priority.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,6 +30,9 @@ pub struct JobSpec {
     pub owner: String,
     /// A worker must have all of these.
     pub tags: Vec<String>,
+    /// Comment, labels, and the address that is told of its end.
+    #[serde(deserialize_with = "crate::since_version_10")]
+    pub notes: JobNotes,
 }
 
 impl JobSpec {
@@ -94,6 +97,7 @@ impl JobSpec {
         if shown.into_iter().any(|text| text.contains(char::is_control)) {
             return Err(SpecError::Control);
         }
+        self.notes.check()?;
         if self.settings.len() > Self::MAX_SETTINGS {
             return Err(SpecError::TooLong { field: "settings" });
         }
@@ -209,6 +213,9 @@ pub enum SpecError {
     /// What is shown on terminals must not steer them.
     #[error("control characters in a path, an owner or a tag")]
     Control,
+    /// A comment, a label or an address that cannot be kept.
+    #[error(transparent)]
+    Notes(#[from] NotesError),
     /// A text beyond its limit.
     #[error("{field} is too long")]
     TooLong {
@@ -272,6 +279,8 @@ pub enum Control {
     /// Try again what failed of these frames, and nothing else: a pause stays, and so do the failures of other frames. What of
     /// them is shared with others is tried again for all who need it.
     RetryFrames(Vec<u32>),
+    /// Forget the job, which has ended, with its frames, its logs and its attempts.
+    Delete,
 }
 
 #[cfg(test)]
@@ -301,6 +310,7 @@ mod tests {
             priority: 50,
             owner: "me".into(),
             tags: vec![],
+            notes: JobNotes::default(),
         }
     }
 
@@ -327,6 +337,8 @@ mod tests {
         for name in ["", "..", "../up", "/etc/x", "a/b", "a\\b", "c:x", "a\0b", "a\u{1b}[2Jb"] {
             assert_eq!(JobSpec { name: name.into(), ..spec() }.check(), Err(SpecError::Name), "{name:?}");
         }
+        let notes = JobNotes { comment: "me\u{1b}[2J".to_owned(), ..JobNotes::default() };
+        assert_eq!(JobSpec { notes, ..spec() }.check(), Err(NotesError::Control { what: "comment" }.into()));
         let owner = "me\u{1b}[2J".to_owned();
         assert_eq!(JobSpec { owner, ..spec() }.check(), Err(SpecError::Control));
         let mut large = graph(&[4, 8, 16]);
@@ -355,7 +367,9 @@ mod tests {
 
     #[test]
     fn the_key_follows_what_decides_the_pixels_and_nothing_else() {
-        let other = JobSpec { priority: 1, owner: "you".into(), name: "x".into(), tags: vec!["a".into()], ..spec() };
+        let notes = JobNotes { comment: "Friday's".into(), ..JobNotes::default() };
+        let other =
+            JobSpec { priority: 1, owner: "you".into(), name: "x".into(), tags: vec!["a".into()], notes, ..spec() };
         assert_eq!(spec().key(), other.key());
         assert_ne!(spec().key(), JobSpec { frames: vec![1, 2], ..spec() }.key());
         assert_ne!(spec().key(), JobSpec { settings: "{ }".into(), ..spec() }.key());

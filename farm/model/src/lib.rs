@@ -15,6 +15,8 @@ mod kind;
 mod latest;
 mod log;
 mod manifest;
+mod notes;
+mod owner_usage;
 mod refusal;
 mod result;
 mod session;
@@ -36,6 +38,8 @@ pub use kind::{KindRow, Lane, LogPlace, Near, Role, RoleRow, StageKind};
 pub use latest::Latest;
 pub use log::{Attempt, LogRecord, LogText, TaskLog};
 pub use manifest::{Extent, Manifest, ManifestError, Piece};
+pub use notes::{JobNotes, NotesError};
+pub use owner_usage::{Month, NoMonth, OwnerUsage, UsageSums};
 pub use refusal::Refusal;
 pub use result::{Artifact, Blocks, Decision, FrameParts, FrameRecord, TaskResult};
 pub use session::{

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Blocks, Failure, JobId, JobState, StageKind, TaskKey, WorkerId};
+use crate::{Blocks, Failure, JobId, JobNotes, JobState, StageKind, TaskKey, WorkerId};
 
 /// A job at a glance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -15,6 +15,8 @@ pub struct JobStatus {
     pub name: String,
     /// Name of the owner who submitted the job.
     pub owner: String,
+    /// Notes that it was submitted with.
+    pub notes: JobNotes,
     /// 0..=100.
     pub priority: u8,
     /// State of the job.

@@ -25,6 +25,7 @@ fn main() {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     };
     let empty = memory("VmRSS");
     let begun = Instant::now();

@@ -38,6 +38,11 @@ impl Counted {
     pub(crate) fn of(result: &TaskResult) -> Self {
         Self { samples: result.units, relative_error: result.relative_error }
     }
+
+    /// Pixel samples.
+    pub(crate) fn samples(self) -> u64 {
+        self.samples
+    }
 }
 
 impl Scheduler {
@@ -57,11 +62,13 @@ impl Scheduler {
         let is_news = self.ledger.jobs.get(&task.job).is_some_and(|job| !job.holds(&task, epoch));
         let Some(known) = self.table.workers.get(&worker).filter(|_| is_news) else { return };
         let milliseconds = ((usage.wall + usage.wait) * 1000.0) as u64;
+        let (name, instance) = (known.registration.name.clone(), known.registration.instance);
+        self.meter_attempt(&task, &usage);
         out.push(Command::Note(Box::new(AttemptRecord {
             task,
             epoch,
-            worker: known.registration.name.clone(),
-            instance: known.registration.instance,
+            worker: name,
+            instance,
             granted: Tick(now.0.saturating_sub(milliseconds)),
             ended: now,
             ending: Ending::Revoked,
@@ -85,6 +92,9 @@ impl Scheduler {
             Ending::Done | Ending::Failed => true,
             Ending::Lost | Ending::Revoked | Ending::Cancelled => usage.is_some() || lease.phase > Phase::Waiting,
         };
+        if let Some(usage) = &usage {
+            self.meter_attempt(&key.0, usage);
+        }
         let Some(known) = self.table.workers.get(&lease.worker).filter(|_| is_begun) else { return };
         out.push(Command::Note(Box::new(AttemptRecord {
             task: key.0,

@@ -8,7 +8,7 @@
 //! What has been charged becomes durable every few seconds, whatever became of the leases: a coordinator that is killed forgets
 //! no more than that of each worker's time, and its log does not grow with the tasks.
 
-use femc_model::{JobId, Tick, WorkerId};
+use femc_model::{JobId, Tick, UsageSums, WorkerId};
 
 use crate::lease_table::{Bill, Lease, LeaseKey};
 use crate::scheduler::Scheduler;
@@ -35,10 +35,12 @@ impl Scheduler {
         let Some(job) = self.ledger.jobs.get(&job).filter(|_| milliseconds > 0) else { return };
         if job.shared.is_some() {
             for (owner, part) in self.split(job, milliseconds) {
+                self.meter.add(&owner, UsageSums { worker_ms: part, ..UsageSums::default() });
                 self.order.charge(&owner, part, 0, self.config.weight(&owner));
             }
             return;
         }
+        self.meter.add(&job.spec.owner, UsageSums { worker_ms: milliseconds, ..UsageSums::default() });
         self.order.charge(&job.spec.owner, milliseconds, expected, self.config.weight(&job.spec.owner));
     }
 

@@ -1,6 +1,6 @@
 //! What people ask for: submit and steer.
 
-use femc_model::{Control, Cut, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick};
+use femc_model::{Control, Cut, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick, UsageSums};
 
 use crate::lease_table::LeaseKey;
 use crate::ledger::{Hold, Job};
@@ -25,6 +25,7 @@ impl Scheduler {
         }
         self.within_quota(&spec)?;
         let job = self.ledger.next_job();
+        self.meter.add(&spec.owner, UsageSums { jobs: 1, ..UsageSums::default() });
         self.record(Fact::Submitted { job, key, spec, cut: Cut::Grains(self.config.grain), date }, now, out);
         self.rebuild(job);
         self.retry_shared(job, |_| true, now, out);
@@ -61,6 +62,7 @@ impl Scheduler {
             return Err(Refusal::NoSuchJob { job: id });
         }
         let control = match control {
+            Control::Delete => return self.delete(id, now, out),
             Control::RetryFrames(frames) => Control::RetryFrames(retried(job, frames)?),
             other => other,
         };
@@ -84,12 +86,13 @@ impl Scheduler {
                 return Err(Refusal::Invalid { field: "priority".into(), message: "at most 100".into() });
             }
             Control::Priority(priority) => job.spec.priority != *priority,
+            Control::Delete => false,
         };
         let fills_gaps = job.spec.graph.has_gaps()
             && match &control {
                 Control::Retry => job.frames_blocked() > 0,
                 Control::RetryFrames(frames) => frames.iter().any(|frame| job.blocked.contains(frame)),
-                Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) => false,
+                Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) | Control::Delete => false,
             };
         if changes {
             if fills_gaps {
@@ -107,7 +110,7 @@ impl Scheduler {
                     self.forget_deaths(id, is_meant);
                     self.retry_shared(id, is_meant, now, out);
                 }
-                Control::Pause | Control::Resume | Control::Priority(_) => {}
+                Control::Pause | Control::Resume | Control::Priority(_) | Control::Delete => {}
             }
             self.rebuild(id);
             self.revoke_unwanted(out);

@@ -1,8 +1,8 @@
 //! What the scheduler is told, and what it asks for.
 
 use femc_model::{
-    Assignment, AttemptRecord, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration,
-    RevokeReason, TaskKey, TaskLog, TaskProgress, TaskResult, TaskUsage, WorkerId,
+    Assignment, AttemptRecord, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Month, Refusal, Registration,
+    RevokeReason, TaskKey, TaskLog, TaskProgress, TaskResult, TaskUsage, Tick, WorkerId,
 };
 
 use crate::Fact;
@@ -128,6 +128,15 @@ pub enum Event {
         /// Digest of the artifact.
         digest: Digest,
     },
+    /// Everybody who is to be told of a job's end was told.
+    Announced {
+        /// The job.
+        job: JobId,
+        /// Time of the end.
+        ended: Tick,
+    },
+    /// The calendar says that this is the month; usage is summed by month, and not at all before the first one is named.
+    Month(Month),
     /// Time went by.
     Elapsed,
     /// The coordinator stood still for a while: heartbeats that renew leases, and registrations that bring leases along, may wait

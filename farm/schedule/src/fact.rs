@@ -1,6 +1,8 @@
 //! What has happened for good: the entries of the log.
 
-use femc_model::{Control, Cut, Digest, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, TaskKey, TaskResult, Tick};
+use femc_model::{
+    Control, Cut, Digest, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, OwnerUsage, TaskKey, TaskResult, Tick,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::Casualty;
@@ -140,5 +142,17 @@ pub enum Fact {
     Used {
         /// By owner.
         owners: Vec<(String, Used)>,
+    },
+    /// Owners' usage of a month, as it is now, of those of whom it has changed.
+    Metered {
+        /// Each replaces the usage of its owner and month.
+        usage: Vec<OwnerUsage>,
+    },
+    /// Everybody who is to be told of a job's end was told.
+    Announced {
+        /// The job.
+        job: JobId,
+        /// Time of the end; where the job has ended once more since, that end is not announced.
+        ended: Tick,
     },
 }

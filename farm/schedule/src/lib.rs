@@ -25,6 +25,7 @@ mod lease_table;
 mod leases;
 mod ledger;
 mod logs;
+mod meter;
 mod open;
 mod order;
 mod outcome;

@@ -50,7 +50,9 @@ impl Scheduler {
         }
         self.note_hint_source(worker, &task);
         self.note_build(task.job, task.stage.frame, worker, now, out);
+        let samples = counted.samples();
         self.record(fact, now, out);
+        self.meter_task(&task, samples);
         if !is_alone {
             self.revoke_others(&task, RevokeReason::Done, out);
         }

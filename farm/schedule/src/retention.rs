@@ -1,10 +1,11 @@
-//! Jobs that ended long ago are forgotten, so that a farm that runs for years does not grow for ever.
+//! Jobs that ended long ago are forgotten, so that a farm that runs for years does not grow for ever; and those that a person
+//! deletes.
 
-use femc_model::{JobId, Tick};
+use femc_model::{JobId, Refusal, Tick};
 
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
-use crate::{Command, Fact};
+use crate::{Answer, Command, Fact};
 
 impl Scheduler {
     /// Milliseconds between two looks at the jobs that have ended.
@@ -21,12 +22,26 @@ impl Scheduler {
         let is_due = |job: &Job| job.has_ended() && job.ended.is_some_and(|ended| now.since(ended) >= keep);
         let due: Vec<JobId> = self.ledger.of_people().filter(|(_, job)| is_due(job)).map(|(id, _)| id).collect();
         for job in due {
-            self.revoke_all(job, out);
-            self.record(Fact::Forgotten { job }, now, out);
-            self.ready.remove(&job);
-            self.joinable.remove(&job);
-            self.order.remove(job);
-            out.push(Command::Changed(job));
+            self.forget(job, now, out);
         }
+    }
+
+    /// Deletes a job that has ended.
+    pub(crate) fn delete(&mut self, id: JobId, now: Tick, out: &mut Vec<Command>) -> Result<Answer, Refusal> {
+        if !self.job(id)?.has_ended() {
+            let message = format!("job {id} has not ended: cancel it first");
+            return Err(Refusal::Invalid { field: "control".into(), message });
+        }
+        self.forget(id, now, out);
+        Ok(Answer::Controlled(id))
+    }
+
+    fn forget(&mut self, job: JobId, now: Tick, out: &mut Vec<Command>) {
+        self.revoke_all(job, out);
+        self.record(Fact::Forgotten { job }, now, out);
+        self.ready.remove(&job);
+        self.joinable.remove(&job);
+        self.order.remove(job);
+        out.push(Command::Changed(job));
     }
 }

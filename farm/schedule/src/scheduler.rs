@@ -14,6 +14,7 @@ use crate::deaths::Deaths;
 use crate::lease_table::{Lease, LeaseKey, LeaseTable, Worker};
 use crate::ledger::{Job, Unit};
 use crate::logs::Shelf;
+use crate::meter::Meter;
 use crate::order::Order;
 use crate::ready_tasks::ReadyTasks;
 use crate::shared::Content;
@@ -37,6 +38,8 @@ pub struct Scheduler {
     pub(crate) logs: Shelf,
     /// What a lease took whose end is about to be heard.
     pub(crate) reported_usage: Option<(LeaseKey, Usage)>,
+    /// Usage by owner that is not durable yet.
+    pub(crate) meter: Meter,
     /// Of the event that is being taken.
     pub(crate) now: Tick,
     pub(crate) orphans: Orphans,
@@ -69,6 +72,7 @@ impl Scheduler {
             stale_messages: 0,
             logs: Shelf::default(),
             reported_usage: None,
+            meter: Meter::default(),
             now,
             orphans: Orphans::default(),
             unattended: BTreeMap::new(),
@@ -114,6 +118,16 @@ impl Scheduler {
         self.ledger.unreferenced(digests)
     }
 
+    /// Time of a job's end of which not everybody was told who is to be told; `None`: there is no such end.
+    pub fn end_to_announce(&self, job: JobId) -> Option<Tick> {
+        self.ledger.jobs.get(&job).filter(|job| job.is_unannounced).and_then(|job| job.ended)
+    }
+
+    /// The jobs whose end is to be announced, each with its time.
+    pub fn ends_to_announce(&self) -> Vec<(JobId, Tick)> {
+        self.ledger.of_people().filter_map(|(id, _)| Some((id, self.end_to_announce(id)?))).collect()
+    }
+
     /// Takes notice of `event` at `now`, which never goes back, and says what is to be done.
     pub fn on(&mut self, event: Event, now: Tick) -> Vec<Command> {
         let mut out = Vec::new();
@@ -136,6 +150,7 @@ impl Scheduler {
         }
         if self.order.is_leveled() || (is_time && now >= self.shares_from) {
             self.note_shares(now, out);
+            self.note_usage(now, out);
         }
     }
 
@@ -167,6 +182,12 @@ impl Scheduler {
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
             Event::Lost { digest } => self.lost(&digest, now, out),
             Event::Usage { worker, usage } => self.usage(worker, usage, now, out),
+            Event::Announced { job, ended } => {
+                if self.end_to_announce(job) == Some(ended) {
+                    self.record(Fact::Announced { job, ended }, now, out);
+                }
+            }
+            Event::Month(month) => self.month(month, now, out),
             Event::Elapsed => self.elapsed(now, out),
             Event::LoopStalled => self.loop_stalled(now),
         }

@@ -5,7 +5,7 @@ use std::fs::File;
 
 use femc_model::{
     AttemptRecord, Control, Crew, Cut, Digest, Drain, FrameParts, FrameRecord, FrameStatus, JobId, JobSpec, JobStatus,
-    LogRecord, Refusal, TaskFilter, TaskPage, Tick, WorkerId, WorkerName,
+    LogRecord, OwnerUsage, Refusal, TaskFilter, TaskPage, Tick, WorkerId, WorkerName,
 };
 use tokio::sync::{oneshot, watch};
 
@@ -190,6 +190,11 @@ pub enum Call<S> {
     Workers {
         /// Those that are there, and those that were.
         reply: Reply<Crew>,
+    },
+    /// What the owners' jobs used of the farm.
+    Usage {
+        /// By month, then by owner.
+        reply: Reply<Vec<OwnerUsage>>,
     },
     /// Give workers no more tasks, or tasks again.
     Drain {

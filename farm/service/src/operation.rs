@@ -13,7 +13,7 @@ pub enum Operation {
     Status,
     /// See one job as it changes.
     Watch,
-    /// Pause, resume, cancel, retry a job, change its priority.
+    /// Pause, resume, cancel, retry, delete a job, change its priority.
     Control,
     /// See finished frames.
     Frames,
@@ -29,6 +29,8 @@ pub enum Operation {
     Picture,
     /// See what attempts took.
     Attempts,
+    /// See what the owners' jobs used of the farm.
+    Usage,
     /// See the workers.
     ListWorkers,
     /// Give workers no more tasks, or tasks again.
@@ -67,7 +69,7 @@ pub enum Operation {
 
 impl Operation {
     /// Those that requests over HTTP are.
-    pub const HTTP: [Self; 17] = [
+    pub const HTTP: [Self; 18] = [
         Self::List,
         Self::Status,
         Self::Control,
@@ -76,6 +78,7 @@ impl Operation {
         Self::Tasks,
         Self::Picture,
         Self::Attempts,
+        Self::Usage,
         Self::ListWorkers,
         Self::DrainWorkers,
         Self::Feed,
@@ -102,6 +105,7 @@ impl Operation {
             Self::Tasks => "Jobs/Tasks",
             Self::Picture => "Jobs/Picture",
             Self::Attempts => "Jobs/Attempts",
+            Self::Usage => "Jobs/Usage",
             Self::ListWorkers => "Jobs/ListWorkers",
             Self::DrainWorkers => "Jobs/DrainWorkers",
             Self::Backup => "Jobs/Backup",
@@ -137,6 +141,7 @@ impl Operation {
             | Self::Tasks
             | Self::Picture
             | Self::Attempts
+            | Self::Usage
             | Self::ListWorkers
             | Self::Feed => Right::User(Role::Viewer),
             // Whose job it is decides the call itself.

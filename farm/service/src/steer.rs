@@ -36,7 +36,7 @@ impl<S> Farm<S> {
                     self.look_at_images(store, job, |frame| frames.contains(&frame)).await?;
                 }
             }
-            Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) => {}
+            Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) | Control::Delete => {}
         }
         self.ask(|reply| Call::Control { job, control, reply }).await
     }
@@ -80,7 +80,7 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use femc_model::{Cut, Graph, Grid, JobSpec};
+    use femc_model::{Cut, Graph, Grid, JobNotes, JobSpec};
     use tokio::sync::mpsc;
 
     use super::*;
@@ -107,6 +107,7 @@ mod tests {
                             priority: 50,
                             owner: "me".into(),
                             tags: Vec::new(),
+                            notes: JobNotes::default(),
                         };
                         drop(reply.send(Ok(JobShape { spec: Box::new(spec), cut: Cut::Whole })));
                     }

@@ -1,14 +1,16 @@
 //! Jobs and what is done to them.
 
-use femc_model::{Control, FrameRecord, Grid, JobSpec, JobState};
+use femc_model::{Control, FrameRecord, Grid, JobNotes, JobSpec, JobState};
 
 use super::{ConvertError, digest, digest_bytes, each, maybe, need};
 use crate::wire;
 
 impl From<JobSpec> for wire::JobSpec {
     fn from(spec: JobSpec) -> Self {
-        let JobSpec { name, bundle, entry, settings, frames, grid, graph, contents, priority, owner, tags } = spec;
+        let JobSpec { name, bundle, entry, settings, frames, grid, graph, contents, priority, owner, tags, notes } =
+            spec;
         let Grid { film: [film_width, film_height], tile } = grid;
+        let (comment, labels, notify) = notes_parts(notes);
         let (bundle, graph, priority) = (digest_bytes(&bundle), Some(graph.into()), priority.into());
         let contents = contents.iter().map(|(end, key)| wire::Content { end: *end, key: digest_bytes(key) }).collect();
         Self {
@@ -25,6 +27,9 @@ impl From<JobSpec> for wire::JobSpec {
             owner,
             tags,
             contents,
+            comment,
+            labels,
+            notify,
         }
     }
 }
@@ -48,8 +53,33 @@ impl TryFrom<wire::JobSpec> for JobSpec {
             priority: priority(wire.priority)?,
             owner: wire.owner,
             tags: wire.tags,
+            notes: notes(wire.comment, wire.labels, wire.notify)?,
         })
     }
+}
+
+/// Comment, labels and URL of a job's notes.
+pub(super) fn notes_parts(notes: JobNotes) -> (String, Vec<wire::Label>, Option<String>) {
+    let JobNotes { comment, labels, notify } = notes;
+    (comment, labels.into_iter().map(|(name, value)| wire::Label { name, value }).collect(), notify)
+}
+
+/// Notes of these parts.
+///
+/// # Errors
+/// Two labels have the same name.
+pub(super) fn notes(
+    comment: String,
+    labels: Vec<wire::Label>,
+    notify: Option<String>,
+) -> Result<JobNotes, ConvertError> {
+    let mut notes = JobNotes { comment, notify, ..JobNotes::default() };
+    for wire::Label { name, value } in labels {
+        if notes.labels.insert(name, value).is_some() {
+            return Err(ConvertError::Range { field: "labels" });
+        }
+    }
+    Ok(notes)
 }
 
 pub(super) fn priority(value: u32) -> Result<u8, ConvertError> {
@@ -65,6 +95,7 @@ impl From<Control> for wire::control_request::Control {
             Control::Retry => Self::Retry(wire::Empty {}),
             Control::RetryFrames(frames) => Self::RetryFrames(wire::FrameNumbers { frames }),
             Control::Priority(priority) => Self::Priority(priority.into()),
+            Control::Delete => Self::Delete(wire::Empty {}),
         }
     }
 }
@@ -81,6 +112,7 @@ impl TryFrom<wire::control_request::Control> for Control {
             Wire::Retry(_) => Self::Retry,
             Wire::RetryFrames(wire::FrameNumbers { frames }) => Self::RetryFrames(frames),
             Wire::Priority(value) => Self::Priority(priority(value)?),
+            Wire::Delete(_) => Self::Delete,
         })
     }
 }

@@ -12,6 +12,7 @@ use wire::wait::{Reason, Tags, Tasks};
 
 impl From<JobStatus> for wire::JobStatus {
     fn from(status: JobStatus) -> Self {
+        let (comment, labels, notify) = job::notes_parts(status.notes);
         Self {
             job: status.job.0,
             name: status.name,
@@ -37,6 +38,9 @@ impl From<JobStatus> for wire::JobStatus {
             waits: status.waits.into_iter().map(Into::into).collect(),
             submitted_unix_ms: status.submitted,
             submitted_date_unix_ms: status.submitted_date,
+            comment,
+            labels,
+            notify,
         }
     }
 }
@@ -49,6 +53,7 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             job: JobId(wire.job),
             name: wire.name,
             owner: wire.owner,
+            notes: job::notes(wire.comment, wire.labels, wire.notify)?,
             priority: job::priority(wire.priority)?,
             state: job::state(wire.state)?,
             failure: maybe(wire.failure)?,

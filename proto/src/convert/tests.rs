@@ -52,6 +52,11 @@ fn graph() -> Graph {
     Graph { stages: vec![render, reduce, image] }
 }
 
+fn notes() -> JobNotes {
+    let labels = [("sigma_s", "0.02"), ("camera", "")].map(|(name, value)| (name.to_owned(), value.to_owned()));
+    JobNotes { comment: "vor dem Fest".into(), labels: labels.into(), notify: Some("https://hooks.test/a".into()) }
+}
+
 fn spec() -> JobSpec {
     JobSpec {
         name: "fog".into(),
@@ -65,6 +70,7 @@ fn spec() -> JobSpec {
         priority: 100,
         owner: "me".into(),
         tags: vec!["lab".into(), "ä".into()],
+        notes: notes(),
     }
 }
 
@@ -268,6 +274,7 @@ fn statuses_cross_the_wire() {
             job: JobId(7),
             name: "fog".into(),
             owner: "me".into(),
+            notes: notes(),
             priority: 50,
             state,
             failure: (state == Failed).then(|| failures().remove(0)),
@@ -420,4 +427,40 @@ fn usage() -> Usage {
         fetched: 77,
         sent: 78,
     }
+}
+
+#[test]
+fn usage_crosses_the_wire_and_a_month_that_is_none_is_refused() {
+    let sums = UsageSums { jobs: 1, frames: 2, tasks: 3, samples: 1 << 40, worker_ms: 3_600_001, processor_us: 7 };
+    let usage = OwnerUsage { month: Month::new(2026, 11).unwrap(), owner: "ann".into(), sums };
+    crosses::<OwnerUsage, wire::OwnerUsage>(usage.clone());
+    let wire = wire::OwnerUsage { month: "2026-13".into(), ..usage.clone().into() };
+    assert_eq!(OwnerUsage::try_from(wire), Err(ConvertError::Range { field: "usage.month" }));
+    let wire = wire::OwnerUsage { worker_seconds: f64::NAN, ..usage.into() };
+    assert!(OwnerUsage::try_from(wire).is_err());
+}
+
+#[test]
+fn what_is_done_to_a_job_crosses_the_wire() {
+    let frames = Control::RetryFrames(vec![1, 9]);
+    let all = [
+        Control::Pause,
+        Control::Resume,
+        Control::Cancel,
+        Control::Retry,
+        Control::Priority(9),
+        Control::Delete,
+        frames,
+    ];
+    for control in all {
+        let wire = wire::control_request::Control::from(control.clone());
+        assert_eq!(Control::try_from(wire), Ok(control));
+    }
+}
+
+#[test]
+fn two_labels_of_one_name_are_refused() {
+    let mut wire = wire::JobSpec::from(spec());
+    wire.labels.push(wire.labels[0].clone());
+    assert_eq!(JobSpec::try_from(wire), Err(ConvertError::Range { field: "labels" }));
 }

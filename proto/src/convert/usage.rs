@@ -2,7 +2,7 @@
 
 use std::num::NonZeroU64;
 
-use femc_model::{AttemptRecord, Cut, Ending, TaskUsage, Tick, Usage};
+use femc_model::{AttemptRecord, Cut, Ending, OwnerUsage, TaskUsage, Tick, Usage, UsageSums};
 
 use super::task::{finite, from_lease, to_lease};
 use super::{ConvertError, maybe, need};
@@ -27,6 +27,42 @@ impl TryFrom<wire::JobShape> for JobShape {
             Some(units) => Cut::Grains(need("shape.grain", units)?),
         };
         Ok(Self { spec: Box::new(need("shape.job", wire.job)?.try_into()?), cut })
+    }
+}
+
+impl From<OwnerUsage> for wire::OwnerUsage {
+    fn from(OwnerUsage { month, owner, sums }: OwnerUsage) -> Self {
+        let UsageSums { jobs, frames, tasks, samples, worker_ms, processor_us } = sums;
+        Self {
+            month: month.to_string(),
+            owner,
+            jobs,
+            frames,
+            tasks,
+            samples,
+            worker_seconds: worker_ms as f64 / 1e3,
+            processor_seconds: processor_us as f64 / 1e6,
+        }
+    }
+}
+
+impl TryFrom<wire::OwnerUsage> for OwnerUsage {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::OwnerUsage) -> Result<Self, ConvertError> {
+        let (worker, processor) = (finite(wire.worker_seconds)?, finite(wire.processor_seconds)?);
+        Ok(Self {
+            month: wire.month.parse().map_err(|_| ConvertError::Range { field: "usage.month" })?,
+            owner: wire.owner,
+            sums: UsageSums {
+                jobs: wire.jobs,
+                frames: wire.frames,
+                tasks: wire.tasks,
+                samples: wire.samples,
+                worker_ms: (worker * 1e3).round() as u64,
+                processor_us: (processor * 1e6).round() as u64,
+            },
+        })
     }
 }
 

@@ -117,6 +117,27 @@ pub struct JobSpec {
     /// The contents of its frames, in their order; none where no stage is of a content.
     #[prost(message, repeated, tag = "13")]
     pub contents: ::prost::alloc::vec::Vec<Content>,
+    /// A line for people, without control characters; 4096 bytes at most.
+    #[prost(string, tag = "14")]
+    pub comment: ::prost::alloc::string::String,
+    /// Names and values to find the job by, such as the values of a sweep's variant; 64 at most, each name once, 256 bytes at most a
+    /// name and a value. No name is empty or contains '='.
+    #[prost(message, repeated, tag = "15")]
+    pub labels: ::prost::alloc::vec::Vec<Label>,
+    /// URL to which the coordinator posts a message when the job has ended; 2048 bytes at most. Only URLs that the coordinator allows
+    /// are taken (`--notify-allow`). All viewers can read it. Absent: no message.
+    #[prost(string, optional, tag = "16")]
+    pub notify: ::core::option::Option<::prost::alloc::string::String>,
+}
+/// A name and a value.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct Label {
+    /// The name.
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+    /// The value.
+    #[prost(string, tag = "2")]
+    pub value: ::prost::alloc::string::String,
 }
 /// What a job is made of. A stage is an array of tasks, which every frame, or the job as a whole, has once.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -325,7 +346,7 @@ pub struct ControlRequest {
     #[prost(uint64, tag = "1")]
     pub job: u64,
     /// What; one of these must be there.
-    #[prost(oneof = "control_request::Control", tags = "2, 3, 4, 5, 6, 7")]
+    #[prost(oneof = "control_request::Control", tags = "2, 3, 4, 5, 6, 7, 8")]
     pub control: ::core::option::Option<control_request::Control>,
 }
 /// Nested message and enum types in `ControlRequest`.
@@ -354,6 +375,10 @@ pub mod control_request {
         /// as a whole.
         #[prost(message, tag = "7")]
         RetryFrames(super::FrameNumbers),
+        /// Deletes the job with its frames, its logs and what its attempts took; what no other job refers to is removed from the store
+        /// later. INVALID_ARGUMENT: it has not ended.
+        #[prost(message, tag = "8")]
+        Delete(super::Empty),
     }
 }
 /// Some of a job's frames.
@@ -517,6 +542,44 @@ pub struct DrainWorkersReply {
     #[prost(uint64, repeated, tag = "1")]
     pub workers: ::prost::alloc::vec::Vec<u64>,
 }
+/// Asks for usage.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct UsageRequest {}
+/// What the owners' jobs used of the farm.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct UsageReply {
+    /// By month, then by owner.
+    #[prost(message, repeated, tag = "1")]
+    pub usage: ::prost::alloc::vec::Vec<OwnerUsage>,
+}
+/// What an owner's jobs used of the farm in a month. A coordinator that was killed has forgotten up to five seconds of it.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct OwnerUsage {
+    /// The month in UTC, as YYYY-MM.
+    #[prost(string, tag = "1")]
+    pub month: ::prost::alloc::string::String,
+    /// Name of the owner.
+    #[prost(string, tag = "2")]
+    pub owner: ::prost::alloc::string::String,
+    /// Jobs submitted.
+    #[prost(uint64, tag = "3")]
+    pub jobs: u64,
+    /// Frames finished.
+    #[prost(uint64, tag = "4")]
+    pub frames: u64,
+    /// Tasks done.
+    #[prost(uint64, tag = "5")]
+    pub tasks: u64,
+    /// Pixel samples in the results that count.
+    #[prost(uint64, tag = "6")]
+    pub samples: u64,
+    /// Seconds of workers that held tasks of the owner's jobs, each moment of a worker counted once.
+    #[prost(double, tag = "7")]
+    pub worker_seconds: f64,
+    /// Processor seconds of all attempts, as their workers measured them.
+    #[prost(double, tag = "8")]
+    pub processor_seconds: f64,
+}
 /// Asks for a copy.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct BackupRequest {}
@@ -626,6 +689,15 @@ pub struct JobStatus {
     /// Calendar date of its submission, by the coordinator's machine: Unix time in milliseconds; absent: not known.
     #[prost(uint64, optional, tag = "24")]
     pub submitted_date_unix_ms: ::core::option::Option<u64>,
+    /// Its comment; empty: none.
+    #[prost(string, tag = "25")]
+    pub comment: ::prost::alloc::string::String,
+    /// Its labels, in the order of their names.
+    #[prost(message, repeated, tag = "26")]
+    pub labels: ::prost::alloc::vec::Vec<Label>,
+    /// URL to which a message is posted when it has ended; absent: none.
+    #[prost(string, optional, tag = "27")]
+    pub notify: ::core::option::Option<::prost::alloc::string::String>,
 }
 /// Blocks of 16 x 16 pixels of a measured frame.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -2476,7 +2548,8 @@ pub mod jobs_client {
             req.extensions_mut().insert(GrpcMethod::new("femc.v1.Jobs", "Watch"));
             self.inner.server_streaming(req, path, codec).await
         }
-        /// Pauses, resumes, cancels, retries a job, or changes its priority; what is so already stays so. Durable when the reply comes.
+        /// Pauses, resumes, cancels, retries or deletes a job, or changes its priority; what is so already stays so. Durable when the
+        /// reply comes.
         /// Who may: the job's owner, if a submitter; operators. NOT_FOUND: there is no such job. FAILED_PRECONDITION: it has ended,
         /// so that this cannot be done to it.
         pub async fn control(
@@ -2627,6 +2700,25 @@ pub mod jobs_client {
             req.extensions_mut().insert(GrpcMethod::new("femc.v1.Jobs", "DrainWorkers"));
             self.inner.unary(req, path, codec).await
         }
+        /// What the owners' jobs used of the farm, by month; it stays when jobs are deleted. Who may: viewers.
+        pub async fn usage(
+            &mut self,
+            request: impl tonic::IntoRequest<super::UsageRequest>,
+        ) -> std::result::Result<tonic::Response<super::UsageReply>, tonic::Status> {
+            self.inner
+                .ready()
+                .await
+                .map_err(|e| {
+                    tonic::Status::unknown(
+                        format!("Service was not ready: {}", e.into()),
+                    )
+                })?;
+            let codec = crate::codec::Codec::default();
+            let path = http::uri::PathAndQuery::from_static("/femc.v1.Jobs/Usage");
+            let mut req = request.into_request();
+            req.extensions_mut().insert(GrpcMethod::new("femc.v1.Jobs", "Usage"));
+            self.inner.unary(req, path, codec).await
+        }
         /// A copy of the log as it is now, and the artifacts that it refers to: these first. Who may: admins.
         pub async fn backup(
             &mut self,
@@ -2694,7 +2786,8 @@ pub mod jobs_server {
             &self,
             request: tonic::Request<super::WatchRequest>,
         ) -> std::result::Result<tonic::Response<Self::WatchStream>, tonic::Status>;
-        /// Pauses, resumes, cancels, retries a job, or changes its priority; what is so already stays so. Durable when the reply comes.
+        /// Pauses, resumes, cancels, retries or deletes a job, or changes its priority; what is so already stays so. Durable when the
+        /// reply comes.
         /// Who may: the job's owner, if a submitter; operators. NOT_FOUND: there is no such job. FAILED_PRECONDITION: it has ended,
         /// so that this cannot be done to it.
         async fn control(
@@ -2748,6 +2841,11 @@ pub mod jobs_server {
             tonic::Response<super::DrainWorkersReply>,
             tonic::Status,
         >;
+        /// What the owners' jobs used of the farm, by month; it stays when jobs are deleted. Who may: viewers.
+        async fn usage(
+            &self,
+            request: tonic::Request<super::UsageRequest>,
+        ) -> std::result::Result<tonic::Response<super::UsageReply>, tonic::Status>;
         /// Server streaming response type for the Backup method.
         type BackupStream: tonic::codegen::tokio_stream::Stream<
                 Item = std::result::Result<super::BackupReply, tonic::Status>,
@@ -3301,6 +3399,49 @@ pub mod jobs_server {
                     let inner = self.inner.clone();
                     let fut = async move {
                         let method = DrainWorkersSvc(inner);
+                        let codec = crate::codec::Codec::default();
+                        let mut grpc = tonic::server::Grpc::new(codec)
+                            .apply_compression_config(
+                                accept_compression_encodings,
+                                send_compression_encodings,
+                            )
+                            .apply_max_message_size_config(
+                                max_decoding_message_size,
+                                max_encoding_message_size,
+                            );
+                        let res = grpc.unary(method, req).await;
+                        Ok(res)
+                    };
+                    Box::pin(fut)
+                }
+                "/femc.v1.Jobs/Usage" => {
+                    #[allow(non_camel_case_types)]
+                    struct UsageSvc<T: Jobs>(pub Arc<T>);
+                    impl<T: Jobs> tonic::server::UnaryService<super::UsageRequest>
+                    for UsageSvc<T> {
+                        type Response = super::UsageReply;
+                        type Future = BoxFuture<
+                            tonic::Response<Self::Response>,
+                            tonic::Status,
+                        >;
+                        fn call(
+                            &mut self,
+                            request: tonic::Request<super::UsageRequest>,
+                        ) -> Self::Future {
+                            let inner = Arc::clone(&self.0);
+                            let fut = async move {
+                                <T as Jobs>::usage(&inner, request).await
+                            };
+                            Box::pin(fut)
+                        }
+                    }
+                    let accept_compression_encodings = self.accept_compression_encodings;
+                    let send_compression_encodings = self.send_compression_encodings;
+                    let max_decoding_message_size = self.max_decoding_message_size;
+                    let max_encoding_message_size = self.max_encoding_message_size;
+                    let inner = self.inner.clone();
+                    let fut = async move {
+                        let method = UsageSvc(inner);
                         let codec = crate::codec::Codec::default();
                         let mut grpc = tonic::server::Grpc::new(codec)
                             .apply_compression_config(

@@ -31,6 +31,7 @@ fn operation(path: &str) -> Operation {
         ("femc.v1.Jobs", "Parts") => Operation::Parts,
         ("femc.v1.Jobs", "Logs") => Operation::Logs,
         ("femc.v1.Jobs", "Attempts") => Operation::Attempts,
+        ("femc.v1.Jobs", "Usage") => Operation::Usage,
         ("femc.v1.Jobs", "ListWorkers") => Operation::ListWorkers,
         ("femc.v1.Jobs", "DrainWorkers") => Operation::DrainWorkers,
         ("femc.v1.Jobs", "Backup") => Operation::Backup,

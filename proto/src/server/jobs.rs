@@ -116,6 +116,11 @@ impl wire::jobs_server::Jobs for Server {
         Ok(Response::new(crew.into()))
     }
 
+    async fn usage(&self, _: Request<wire::UsageRequest>) -> Answer<wire::UsageReply> {
+        let usage = self.ask(|reply| Call::Usage { reply }).await?;
+        Ok(Response::new(wire::UsageReply { usage: usage.into_iter().map(Into::into).collect() }))
+    }
+
     async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {
         let trail = trail(&request);
         let (worker, drain): (WorkerName, Drain) = request.into_inner().try_into()?;

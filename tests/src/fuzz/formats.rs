@@ -16,8 +16,8 @@ use femc_import::Bundle;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use femc_model::{
-    Artifact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest,
-    More, Output, Role, Stage, StageKind, TaskKey, TaskResult, Tick, Work, testing::frames,
+    Artifact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobNotes, JobSpec,
+    Manifest, More, Output, Role, Stage, StageKind, TaskKey, TaskResult, Tick, Work, testing::frames,
 };
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{Frames, Statistics};
@@ -143,6 +143,7 @@ fn spec() -> JobSpec {
         priority: 50,
         owner: "ann".into(),
         tags: vec!["big".into()],
+        notes: JobNotes::default(),
     }
 }
 

@@ -73,6 +73,7 @@ fn job(scene: &str, settings: &Settings) -> (JobSpec, Vec<u8>) {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     };
     (spec, bundle)
 }

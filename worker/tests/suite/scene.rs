@@ -56,6 +56,7 @@ fn spec(scene: &Parcel, spp: u32) -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     }
 }
 

@@ -258,7 +258,7 @@ impl BenchSettings {
         SettingsArgs {
             camera: self.camera.clone(),
             size: self.size,
-            frames: self.frames,
+            frames: self.frames.clone(),
             max_depth: self.max_depth,
             filter: self.filter,
             set: self.set.clone(),

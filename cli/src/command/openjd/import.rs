@@ -137,7 +137,7 @@ fn variants(template: &Template, tasks: Vec<Written>) -> Result<(Variants, usize
     let mut variants = Variants::new();
     for (group, frames) in groups.into_iter().zip(all_frames) {
         let with = |frames: &Frames| {
-            let frames = ("frames".to_owned(), Change::Frames(*frames));
+            let frames = ("frames".to_owned(), Change::Frames(frames.clone()));
             group.changes.clone().into_iter().chain([frames]).collect()
         };
         variants.extend(frames.iter().map(with));

@@ -17,7 +17,7 @@ use super::interrupt::Interrupt;
 use super::render::Beside;
 use super::render::state::{Identity, Old, State};
 use super::submit::own_key;
-use crate::args::{FormatArgs, ServerArgs, SettingsArgs};
+use crate::args::{FormatArgs, NotesArgs, ServerArgs, SettingsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
@@ -63,6 +63,14 @@ pub struct SweepArgs {
     /// Render in this process, with --workers and --threads, instead of on a farm
     #[arg(long, requires = "out")]
     local: bool,
+    /// 0 to 100, greater goes first [default: the job file's, or 50]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
+    priority: Option<u8>,
+    /// Who the jobs belong to [default: the user's name]
+    #[arg(long, value_name = "NAME", conflicts_with = "local")]
+    owner: Option<String>,
+    #[command(flatten)]
+    notes: NotesArgs,
     #[command(flatten)]
     format: FormatArgs,
     #[command(flatten)]
@@ -74,7 +82,14 @@ pub struct SweepArgs {
 /// Sweep.
 pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
-    let work = Work::open(&args.job, &args.settings, say)?;
+    let mut work = Work::open(&args.job, &args.settings, say)?;
+    for variant in &mut work.variants {
+        let spec = &mut variant.spec;
+        spec.priority = args.priority.unwrap_or(spec.priority);
+        spec.owner = args.owner.clone().unwrap_or_else(|| std::mem::take(&mut spec.owner));
+        spec.notes = args.notes.over(std::mem::take(&mut spec.notes))?;
+    }
+    let work = work;
     let Some(out) = &args.out else { return queue_only(&work, args, say) };
     if out.is_file() {
         return Err(usage(format!("-o {} is a file; give a folder", out.display())));

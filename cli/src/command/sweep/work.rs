@@ -36,7 +36,9 @@ pub struct Planned {
     pub name: String,
     /// A value for each axis.
     pub values: Vec<Value>,
-    /// The job of all its frames.
+    /// First part of the names of its frames' files.
+    pub stem: String,
+    /// The job of all its frames, named by the file names' first part and by what varies.
     pub spec: JobSpec,
     /// When a frame is done.
     pub stop: Stop,
@@ -92,7 +94,8 @@ impl Work {
             };
             let at = |key: &str| of_axis(key).map(|(_, choice)| job.shown(choice.place)).or_else(|| job.at(key));
             let mut asked = base.ask(&variant.apply(&settings), &at)?;
-            (asked.priority, asked.tags) = (job.priority, job.tags.clone());
+            (asked.priority, asked.tags, asked.given_name) = (job.priority, job.tags.clone(), job.name.clone());
+            asked.notes = job.notes.clone();
             // All variants have one method: they are there to be compared.
             if work.is_none() {
                 asked.warn(say);
@@ -114,6 +117,9 @@ impl Work {
                 Some(work) => work.scene.clone(),
                 None => asked.parcel()?,
             };
+            let varied =
+                sweep.axes.iter().zip(&variant.choices).map(|(axis, choice)| (axis.name.clone(), choice.text.clone()));
+            asked.notes.labels.extend(varied);
             let planned = Planned::new(variant.name.clone(), values, &asked, &scene)?;
             match &mut work {
                 Some(work) => work.variants.push(planned),
@@ -146,10 +152,13 @@ impl Planned {
             let frame_key = frame_key.map_err(|e| failed(format!("{}: {e}", asked.path.display())))?;
             Ok(Planning { frame, key: key(&frame_key.view, &asked.settings)?, world: frame_key.world })
         };
+        let stem = asked.name();
+        let spec = client::job_spec(asked, scene, asked.plan.frames.clone())?;
         Ok(Self {
+            spec: JobSpec { name: format!("{stem}-{name}"), ..spec },
+            stem,
             name,
             values,
-            spec: client::job_spec(asked, scene, asked.plan.frames.clone())?,
             stop: asked.settings.stop,
             frames: asked.plan.frames.iter().map(frame).collect::<Result<_, Failure>>()?,
         })
@@ -157,7 +166,7 @@ impl Planned {
 
     /// Path of a frame within the sweep's folder.
     pub fn file(&self, frame: u32) -> String {
-        format!("{}/{}", self.name, crate::command::render::frame_name(&self.spec.name, frame))
+        format!("{}/{}", self.name, crate::command::render::frame_name(&self.stem, frame))
     }
 }
 

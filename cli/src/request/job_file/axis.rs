@@ -36,8 +36,10 @@ pub struct Choice {
 }
 
 /// Keys of a job file that are no settings of an image.
-const NOT_VARIED: [&str; 10] =
-    ["scene", "workers", "threads", "priority", "tags", "stats", "layer", "layers", "set", "sweep"];
+const NOT_VARIED: [&str; 14] = [
+    "scene", "name", "comment", "labels", "notify", "workers", "threads", "priority", "tags", "stats", "layer",
+    "layers", "set", "sweep",
+];
 /// The ones that are, as they are named in messages.
 const SETTINGS: &str = "camera, size, frames, spp, error, time, method, max-depth, filter, seed";
 

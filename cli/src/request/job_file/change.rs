@@ -108,7 +108,7 @@ impl Change {
             Self::Scalar(change) => settings.set.push(change.clone()),
             Self::Camera(name) => settings.camera = Some(name.clone()),
             Self::Size(size) => settings.size = Some(*size),
-            Self::Frames(frames) => settings.frames = Some(*frames),
+            Self::Frames(frames) => settings.frames = Some(frames.clone()),
             Self::Spp(n) => {
                 stop(settings);
                 settings.spp = Some(*n);

@@ -16,9 +16,10 @@ pub use sweep::Sweep;
 #[cfg(feature = "openjd")]
 pub use {axis::Axis, change::Change, sweep::Mode};
 
-use crate::args::{Filter, Method, SettingsArgs, Stats};
+use crate::args::{Filter, Method, SettingsArgs, Stats, job_name};
 use crate::values::{Budget, Frames, Override, Place, Size};
 use fault::{Fault, one_line};
+use femc_model::JobNotes;
 use femc_pipeline::Layer;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -39,6 +40,10 @@ pub struct JobFile {
     pub priority: Option<u8>,
     /// Workers that may take it carry all of these.
     pub tags: Vec<String>,
+    /// Name of the job and of its files.
+    pub name: Option<String>,
+    /// Comment, labels, URL to notify.
+    pub notes: JobNotes,
     /// The variants, if it has any.
     pub sweep: Option<Sweep>,
     /// What is measured in the frames of a sweep.
@@ -73,6 +78,12 @@ struct Written {
     priority: Option<u8>,
     #[serde(default)]
     tags: Vec<String>,
+    name: Option<String>,
+    #[serde(default)]
+    comment: String,
+    #[serde(default)]
+    labels: BTreeMap<String, String>,
+    notify: Option<String>,
     #[serde(default)]
     set: BTreeMap<String, f64>,
     /// These are read by hand: each value has its place.
@@ -156,6 +167,8 @@ impl JobFile {
             },
             priority: job.priority,
             tags: job.tags,
+            name: job.name,
+            notes: JobNotes { comment: job.comment, labels: job.labels, notify: job.notify },
         })
     }
 
@@ -225,6 +238,13 @@ fn check(job: &Written) -> Result<(), (&'static str, String)> {
     }
     if job.priority.is_some_and(|priority| priority > 100) {
         return Err(("priority", "priority goes from 0 to 100".to_owned()));
+    }
+    if let Some(Err(fault)) = job.name.as_deref().map(job_name) {
+        return Err(("name", fault));
+    }
+    let notes = JobNotes { comment: job.comment.clone(), labels: job.labels.clone(), notify: job.notify.clone() };
+    if let Err(fault) = notes.check() {
+        return Err((fault.field(), fault.to_string()));
     }
     if job.workers == Some(0) {
         return Err(("workers", "workers is at least 1".to_owned()));
@@ -308,6 +328,9 @@ mod tests {
             ("spp = 4\nerror = 0.1", "exclude each other"),
             ("error = -1.0", "relative error"),
             ("priority = 101", "0 to 100"),
+            ("name = \"a/b\"", "named by it"),
+            ("comment = \"a\\nb\"", "one line"),
+            ("labels = { \"\" = \"x\" }", "name of a label"),
             ("threads = 0", "threads is at least 1"),
             ("frames = \"5..1\"", "comes before"),
             ("size = \"4\"", "320x180"),

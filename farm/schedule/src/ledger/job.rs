@@ -83,6 +83,10 @@ pub(crate) struct Job {
     /// Calendar date of the submission: Unix time in milliseconds.
     #[serde(deserialize_with = "femc_model::since_version_10")]
     pub(crate) date: Option<u64>,
+    /// It has ended, and not everybody who is to be told of that was told. Of jobs without a date, as those of logs before version 10
+    /// and what jobs share, nobody is.
+    #[serde(deserialize_with = "femc_model::since_version_10")]
+    pub(crate) is_unannounced: bool,
     cut: Cut,
     pub(crate) shared: Option<Shared>,
     /// Frames that are neither finished nor blocked, by the key of their content.
@@ -127,6 +131,7 @@ impl Job {
             blocks: None,
             submitted: now,
             date: None,
+            is_unannounced: false,
             cut,
             shared,
             left,
@@ -518,6 +523,8 @@ impl Job {
             }
             Control::RetryFrames(frames) => return self.frames_retried(frames),
             Control::Priority(priority) => self.spec.priority = *priority,
+            // A fact of its own: the job is forgotten.
+            Control::Delete => {}
         }
         Vec::new()
     }
@@ -613,8 +620,9 @@ impl Job {
     }
 
     pub(super) fn note_end(&mut self, now: Tick) {
-        if self.has_ended() {
-            self.ended.get_or_insert(now);
+        if self.has_ended() && self.ended.is_none() {
+            self.ended = Some(now);
+            self.is_unannounced = self.date.is_some();
         }
         // What was paused and came to its end all the same is not held when something of it is lost later.
         if self.is_done() {

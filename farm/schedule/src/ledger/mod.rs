@@ -104,6 +104,16 @@ impl Ledger {
                 self.side.note_used(owners, || jobs.values().map(|job| job.spec.owner.as_str()).collect());
                 return Vec::new();
             }
+            Fact::Metered { usage } => {
+                self.side.meter(usage);
+                return Vec::new();
+            }
+            Fact::Announced { job, ended } => {
+                if let Some(job) = self.jobs.get_mut(job).filter(|job| job.ended == Some(*ended)) {
+                    job.is_unannounced = false;
+                }
+                return Vec::new();
+            }
             Fact::Lives { instance } => {
                 self.jobs.values_mut().for_each(|job| job.lives(*instance));
                 return Vec::new();

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use femc_model::{Attempt, Digest, Drain, JobId, LogRecord, LogText};
+use femc_model::{Attempt, Digest, Drain, JobId, LogRecord, LogText, Month, OwnerUsage, UsageSums};
 use serde::{Deserialize, Serialize};
 
 use crate::Used;
@@ -18,6 +18,9 @@ pub(crate) struct SideTables {
     builds: BTreeMap<JobId, BTreeMap<u32, String>>,
     /// What owners have used.
     used: BTreeMap<String, Used>,
+    /// Usage by month and owner.
+    #[serde(deserialize_with = "femc_model::since_version_10")]
+    metered: BTreeMap<(Month, String), UsageSums>,
 }
 
 impl SideTables {
@@ -32,6 +35,9 @@ impl SideTables {
 
     /// Most owners without a job of whom it is remembered what they have used.
     const ABSENT: usize = 4096;
+
+    /// Most rows of usage that are kept: with 100 owners, those of 54 years.
+    const METERED: usize = 1 << 16;
 
     /// What owners have used; those who have used the least are forgotten where too many have no job any more.
     /// - `present`: who has jobs.
@@ -52,6 +58,28 @@ impl SideTables {
     /// What owners have used, as far as it is durable.
     pub(crate) fn used(&self) -> &BTreeMap<String, Used> {
         &self.used
+    }
+
+    /// Replaces the usage of these owners and months. Beyond the limit the earliest months go.
+    pub(super) fn meter(&mut self, usage: &[OwnerUsage]) {
+        self.metered.extend(usage.iter().map(|row| ((row.month, row.owner.clone()), row.sums)));
+        while self.metered.len() > Self::METERED {
+            self.metered.pop_first();
+        }
+    }
+
+    /// Usage of an owner in a month, as far as it is durable.
+    pub(crate) fn metered_of(&self, month: Month, owner: &str) -> UsageSums {
+        self.metered.get(&(month, owner.to_owned())).copied().unwrap_or_default()
+    }
+
+    /// Usage by month and owner, as far as it is durable.
+    pub(crate) fn metered(&self) -> impl Iterator<Item = OwnerUsage> + '_ {
+        self.metered.iter().map(|((month, owner), sums)| OwnerUsage {
+            month: *month,
+            owner: owner.clone(),
+            sums: *sums,
+        })
     }
 
     pub(super) fn built(&mut self, job: JobId, frame: u32, engine: &str) {

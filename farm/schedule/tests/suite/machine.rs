@@ -324,7 +324,7 @@ impl Machine {
                     Control::RetryFrames(frames) => {
                         self.tries.retain(|task, _| task.job != job || !frames.contains(&task.stage.frame));
                     }
-                    Control::Priority(_) => {}
+                    Control::Priority(_) | Control::Delete => {}
                 },
                 Command::Discard(digests) => {
                     let gone = self.farm.scheduler.unreferenced(digests);

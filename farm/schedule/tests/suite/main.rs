@@ -1,5 +1,6 @@
 //! The scheduler as a pure function, a module a topic.
 
+mod accounts;
 mod affinity;
 mod attempts;
 mod builds;

@@ -30,6 +30,7 @@ enum Action {
     Cancel,
     Retry,
     Priority,
+    Delete,
 }
 
 /// What is done to workers, as JSON.
@@ -93,6 +94,7 @@ impl<S: Send + 'static> Http<S> {
             (Action::Pause, None, None) => Control::Pause,
             (Action::Resume, None, None) => Control::Resume,
             (Action::Cancel, None, None) => Control::Cancel,
+            (Action::Delete, None, None) => Control::Delete,
             (Action::Retry, None, None) => Control::Retry,
             (Action::Retry, None, Some(frames)) => Control::RetryFrames(frames),
             (Action::Priority, Some(priority), None) if priority <= 100 => Control::Priority(priority),

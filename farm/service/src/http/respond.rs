@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use ::http::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH, LOCATION, SET_COOKIE};
 use ::http::{HeaderValue, Response, StatusCode};
 use bytes::Bytes;
-use femc_model::{Crew, Cut, Grains, JobId, JobSpec, LogRecord, LogText, Refusal, TaskKey, TaskPage, Tick};
+use femc_model::{Crew, Cut, Grains, JobId, JobSpec, LogRecord, LogText, OwnerUsage, Refusal, TaskKey, TaskPage, Tick};
 use femc_trust::Holder;
 use http_body_util::{BodyExt as _, LengthLimitError, Limited};
 use serde::Serialize;
@@ -20,7 +20,7 @@ use crate::access::{Caller, Trail, Who};
 use crate::attempts::{By, JobRecord, Json, columns, rows_of_page};
 use crate::call::{AttemptPage, Call, JobShape, Listing};
 use crate::picture::Wanted;
-use crate::view::{FrameJson, JobJson, LogJson, OfflineJson, SpecJson, TaskJson, WorkerJson};
+use crate::view::{FrameJson, JobJson, LogJson, OfflineJson, SpecJson, TaskJson, WorkerJson, usage_columns};
 
 /// Who asks.
 #[derive(Serialize)]
@@ -61,6 +61,11 @@ struct Tasks {
 struct Workers {
     workers: Vec<WorkerJson>,
     offline: Vec<OfflineJson>,
+}
+
+#[derive(Serialize)]
+struct Usage<'a> {
+    usage: Json<'a, OwnerUsage>,
 }
 
 #[derive(Serialize)]
@@ -113,6 +118,7 @@ impl<S: Send + 'static> Http<S> {
             Route::Logs(job, since, task) => self.logs(job, since, task, who).await,
             Route::Picture(job, frame, wanted) => self.picture(asked, job, frame, wanted, who).await,
             Route::Workers => self.workers().await,
+            Route::Usage => self.usage().await,
             Route::Control => self.control(&self.whole(body).await?, caller.as_deref(), trail).await,
             Route::Drain => self.drain(&self.whole(body).await?, trail).await,
             Route::Audit(count) => self.audit(count).await,
@@ -285,6 +291,11 @@ impl<S: Send + 'static> Http<S> {
         let workers = there.iter().map(WorkerJson::from).collect();
         let offline = offline.iter().map(OfflineJson::from).collect();
         Ok(answer::json(&Workers { workers, offline }))
+    }
+
+    async fn usage(&self) -> Result<Response<Body>, Fault> {
+        let usage = self.0.farm.ask(|reply| Call::Usage { reply }).await?;
+        Ok(answer::json(&Usage { usage: Json(&usage_columns(), &usage) }))
     }
 
     async fn audit(&self, count: usize) -> Result<Response<Body>, Fault> {

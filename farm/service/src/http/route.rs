@@ -31,6 +31,8 @@ pub(super) enum Route {
     Picture(JobId, u32, Wanted),
     Control,
     Workers,
+    /// Usage by owner and month.
+    Usage,
     Drain,
     /// The latest lines of the record.
     Audit(usize),
@@ -94,6 +96,7 @@ impl Route {
                 (Self::Picture(number("job", job)?, number("frame", frame)?, wanted), Method::GET)
             }
             ["workers"] => (Self::Workers, Method::GET),
+            ["usage"] => (Self::Usage, Method::GET),
             ["workers", "drain"] => (Self::Drain, Method::POST),
             ["audit"] => {
                 let count = query.number("count")?.unwrap_or(200);
@@ -141,6 +144,7 @@ impl Route {
             Self::Picture(..) => Operation::Picture,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,
+            Self::Usage => Operation::Usage,
             Self::Drain => Operation::DrainWorkers,
             Self::Audit(_) => Operation::ReadAudit,
         }
@@ -238,7 +242,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 17);
+        assert_eq!(seen.values().sum::<usize>(), 18);
         // The page itself has no row, and what is no request has none.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));

@@ -1,5 +1,7 @@
 //! A job as programs and pages read it, and why its tasks wait.
 
+use std::collections::BTreeMap;
+
 use femc_model::{FrameProgress, JobStatus, Stage, Wait};
 use serde::Serialize;
 
@@ -12,6 +14,11 @@ pub struct JobJson {
     name: String,
     state: &'static str,
     owner: String,
+    /// A line for people; empty: none.
+    comment: String,
+    labels: BTreeMap<String, String>,
+    /// URL to which a message is posted when the job has ended.
+    notify: Option<String>,
     priority: u8,
     frames: u32,
     frames_done: u32,
@@ -69,6 +76,9 @@ impl From<&JobStatus> for JobJson {
             name: job.name.clone(),
             state: job.state.name(),
             owner: job.owner.clone(),
+            comment: job.notes.comment.clone(),
+            labels: job.notes.labels.clone(),
+            notify: job.notes.notify.clone(),
             priority: job.priority,
             frames: job.frames_total,
             frames_done: job.frames_done,
@@ -213,7 +223,7 @@ pub fn wait(job: &JobStatus, wait: &Wait) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use femc_model::{JobId, JobState};
+    use femc_model::{JobId, JobNotes, JobState};
 
     #[test]
     fn stages_of_the_whole_job_are_no_frame_in_what_a_job_waits_for() {
@@ -221,6 +231,7 @@ mod tests {
             job: JobId(7),
             name: "walk".to_owned(),
             owner: "ann".to_owned(),
+            notes: JobNotes::default(),
             priority: 50,
             state: JobState::Failed,
             failure: None,

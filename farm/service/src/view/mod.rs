@@ -5,6 +5,7 @@ mod job;
 mod log;
 mod spec;
 mod table;
+mod usage;
 mod words;
 mod worker;
 
@@ -12,5 +13,6 @@ pub use job::{JobJson, unit, wait};
 pub use log::LogJson;
 pub use spec::SpecJson;
 pub use table::{FrameJson, TaskJson};
+pub use usage::usage_columns;
 pub use words::count;
 pub use worker::{OfflineJson, WorkerJson, intake};

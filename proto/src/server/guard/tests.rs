@@ -21,7 +21,7 @@ use femc_model::Refusal;
 const HOLDERS: [&str; 6] = ["coordinator", "worker", "viewer", "submitter", "operator", "admin"];
 
 /// Who may call what.
-const TABLE: [(&str, &[&str]); 18] = [
+const TABLE: [(&str, &[&str]); 19] = [
     ("Jobs/Submit", &["submitter", "operator", "admin"]),
     ("Jobs/List", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/Status", &["viewer", "submitter", "operator", "admin"]),
@@ -31,6 +31,7 @@ const TABLE: [(&str, &[&str]); 18] = [
     ("Jobs/Parts", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/Logs", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/Attempts", &["viewer", "submitter", "operator", "admin"]),
+    ("Jobs/Usage", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/ListWorkers", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/DrainWorkers", &["operator", "admin"]),
     ("Jobs/Backup", &["admin"]),

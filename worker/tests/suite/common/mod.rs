@@ -81,6 +81,7 @@ pub fn job_of(spp: u32, tile: u32) -> (JobSpec, Vec<u8>) {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     };
     (spec, bundle)
 }

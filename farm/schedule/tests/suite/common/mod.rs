@@ -40,6 +40,7 @@ pub fn of(frames: &[u32], tiles: u32, graph: Graph) -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: vec![],
+        notes: JobNotes::default(),
     }
 }
 

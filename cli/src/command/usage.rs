@@ -1,0 +1,56 @@
+//! `femc usage`: what the owners' jobs used of the farm, by month.
+
+use super::client;
+use crate::args::{FormatArgs, ServerArgs};
+use crate::exit::{Exit, Failure};
+use crate::output::{Say, json};
+use clap::Args;
+use femc_model::{Month, OwnerUsage};
+use femc_reports::attempts::{Json, csv, human};
+use femc_service::view::usage_columns;
+
+/// Print what the owners' jobs used of the farm, by month: jobs, frames, samples, worker and processor time
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc usage                                   # every owner and month\n  \
+    femc usage --month 2026-11 --csv > nov.csv   # for the accounts\n  \
+    femc usage --owner ann --json | jq '[.[].processor_seconds] | add'\n\n\
+    Months are those of UTC. Worker time is the time in which tasks of the owner's jobs held workers, each moment of a worker \
+    counted once; processor time is that of all attempts, failed ones too. First passes that several owners' jobs share count \
+    for each of them by their weights. Usage stays when jobs are deleted (`femc delete`, `--keep-ended`). A coordinator that was \
+    killed has forgotten up to five seconds of it.")]
+pub struct UsageArgs {
+    /// Only this month, YYYY-MM
+    #[arg(long, value_name = "YYYY-MM")]
+    month: Option<Month>,
+    /// Only this owner
+    #[arg(long, value_name = "NAME")]
+    owner: Option<String>,
+    /// Print CSV on stdout, the names of the columns first
+    #[arg(long, conflicts_with = "json")]
+    csv: bool,
+    #[command(flatten)]
+    format: FormatArgs,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+/// Print.
+pub fn run(args: &UsageArgs, say: Say) -> Result<Exit, Failure> {
+    let mut usage = client::block_on(&args.server, async |farm| farm.usage().await)?;
+    let is_wanted = |row: &OwnerUsage| {
+        args.month.is_none_or(|month| month == row.month) && args.owner.as_ref().is_none_or(|owner| *owner == row.owner)
+    };
+    usage.retain(is_wanted);
+    let columns = usage_columns();
+    if args.format.json {
+        json::print(say, &Json(&columns, &usage))?;
+    } else if args.csv {
+        say.result(csv(&columns, &usage));
+    } else if usage.is_empty() {
+        say.note("no usage is known of these months and owners");
+    } else {
+        say.result(human(&columns, &usage));
+    }
+    Ok(Exit::Done)
+}

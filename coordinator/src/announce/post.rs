@@ -1,0 +1,135 @@
+//! Messages over HTTP.
+
+use std::error::Error;
+use std::time::Duration;
+
+use bytes::Bytes;
+use http::header::{CONTENT_TYPE, USER_AGENT};
+use http::{Request, StatusCode};
+use http_body_util::Full;
+use hyper_rustls::{HttpsConnector, HttpsConnectorBuilder};
+use hyper_util::client::legacy::{Client, connect};
+use hyper_util::rt::{TokioExecutor, TokioTimer};
+use tokio::sync::{OnceCell, Semaphore};
+use tokio::time::Instant;
+use url::Url;
+
+use super::signature::NotifyKey;
+use super::unix_seconds;
+
+type Https = Client<HttpsConnector<connect::HttpConnector>, Full<Bytes>>;
+
+/// Posts messages, and again until they are taken. Redirects are not followed: they could lead to what no prefix allows.
+#[derive(Debug)]
+pub(super) struct Poster {
+    key: Option<NotifyKey>,
+    /// Made for the first message: it reads the machine's root certificates.
+    client: OnceCell<Https>,
+    places: Semaphore,
+}
+
+/// What came of one attempt.
+enum Sent {
+    Taken,
+    /// The receiver wants no more of it.
+    Gone,
+    NotYet(String),
+}
+
+impl Poster {
+    /// Most messages that are sent at a time.
+    const PLACES: usize = 16;
+    /// Until an answer has come.
+    const ANSWER: Duration = Duration::from_secs(15);
+    /// Before the second attempt; it doubles.
+    const FIRST_PAUSE: Duration = Duration::from_secs(1);
+    const LONGEST_PAUSE: Duration = Duration::from_secs(300);
+    /// A message that was not taken for so long is given up.
+    const GIVE_UP: Duration = Duration::from_secs(24 * 3600);
+
+    pub(super) fn new(key: Option<NotifyKey>) -> Self {
+        Self { key, client: OnceCell::new(), places: Semaphore::new(Self::PLACES) }
+    }
+
+    /// Posts a message until it is taken, or given up.
+    pub(super) async fn post(&self, url: &Url, id: &str, body: &str) {
+        let (begun, mut pause) = (Instant::now(), Self::FIRST_PAUSE);
+        let server = url.origin().ascii_serialization();
+        loop {
+            match self.send(url, id, body).await {
+                Sent::Taken => return tracing::info!(message = id, server, "notified"),
+                Sent::Gone => return tracing::warn!(message = id, server, "not notified: the address is gone (410)"),
+                Sent::NotYet(fault) if begun.elapsed() + pause > Self::GIVE_UP => {
+                    return tracing::error!(message = id, server, "not notified for a day, given up: {fault}");
+                }
+                Sent::NotYet(fault) => {
+                    tracing::warn!(message = id, server, again_seconds = pause.as_secs(), "not notified: {fault}");
+                }
+            }
+            tokio::time::sleep(pause).await;
+            pause = (2 * pause).min(Self::LONGEST_PAUSE);
+        }
+    }
+
+    async fn send(&self, url: &Url, id: &str, body: &str) -> Sent {
+        let Ok(_place) = self.places.acquire().await else { return Sent::Gone };
+        let client = match self.client.get_or_try_init(|| async { client() }).await {
+            Ok(client) => client,
+            Err(fault) => return Sent::NotYet(fault),
+        };
+        let now = unix_seconds();
+        let mut request = Request::post(url.as_str())
+            .header(CONTENT_TYPE, "application/json")
+            .header(USER_AGENT, concat!("femc/", env!("CARGO_PKG_VERSION")))
+            .header("webhook-id", id)
+            .header("webhook-timestamp", now);
+        if let Some(key) = &self.key {
+            request = request.header("webhook-signature", key.sign(id, now, body));
+        }
+        let request = match request.body(Full::new(Bytes::copy_from_slice(body.as_bytes()))) {
+            Ok(request) => request,
+            Err(error) => return Sent::NotYet(error.to_string()),
+        };
+        match tokio::time::timeout(Self::ANSWER, client.request(request)).await {
+            Err(_) => Sent::NotYet(format!("no answer within {} s", Self::ANSWER.as_secs())),
+            Ok(Err(error)) => Sent::NotYet(chain(&error)),
+            Ok(Ok(answer)) if answer.status().is_success() => Sent::Taken,
+            Ok(Ok(answer)) if answer.status() == StatusCode::GONE => Sent::Gone,
+            Ok(Ok(answer)) => Sent::NotYet(format!("the answer was {}", answer.status())),
+        }
+    }
+}
+
+fn client() -> Result<Https, String> {
+    let mut tcp = connect::HttpConnector::new();
+    tcp.set_connect_timeout(Some(Duration::from_secs(5)));
+    tcp.enforce_http(false);
+    let provider = rustls::crypto::ring::default_provider();
+    let connector = match HttpsConnectorBuilder::new().with_provider_and_native_roots(provider) {
+        Ok(tls) => tls.https_or_http().enable_http1().wrap_connector(tcp),
+        // A machine without root certificates can notify a server that needs none.
+        Err(_) => without_roots()?.https_or_http().enable_http1().wrap_connector(tcp),
+    };
+    Ok(Client::builder(TokioExecutor::new()).pool_timer(TokioTimer::new()).build(connector))
+}
+
+type Builder = HttpsConnectorBuilder<hyper_rustls::builderstates::WantsSchemes>;
+
+fn without_roots() -> Result<Builder, String> {
+    let config = rustls::ClientConfig::builder_with_provider(rustls::crypto::ring::default_provider().into())
+        .with_safe_default_protocol_versions()
+        .map_err(|error| error.to_string())?;
+    let roots = rustls::RootCertStore::empty();
+    Ok(HttpsConnectorBuilder::new().with_tls_config(config.with_root_certificates(roots).with_no_client_auth()))
+}
+
+/// An error and its causes.
+fn chain(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text += &format!(": {error}");
+        cause = error.source();
+    }
+    text
+}

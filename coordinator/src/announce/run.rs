@@ -1,0 +1,57 @@
+//! A command of this machine at the end of a job.
+
+use std::process::Stdio;
+use std::time::Duration;
+
+use femc_model::JobStatus;
+use tokio::io::AsyncWriteExt as _;
+use tokio::process::Command;
+
+/// A command that runs for longer is killed.
+const LONGEST: Duration = Duration::from_secs(600);
+/// Bytes at the end of its errors that are told.
+const TOLD: usize = 500;
+
+/// Runs a command in the shell: the job is in its environment, and the message at its standard input. How it ends is told in the log.
+pub(super) async fn run(command: &str, job: &JobStatus, message: &str) {
+    let number = job.job.0;
+    match outcome(command, job, message).await {
+        Ok(None) => tracing::info!(job = number, "the command of --on-end has run"),
+        Ok(Some(fault)) => tracing::warn!(job = number, "the command of --on-end has failed: {fault}"),
+        Err(error) => tracing::warn!(job = number, %error, "the command of --on-end cannot be run"),
+    }
+}
+
+/// Its fault, if it has one.
+async fn outcome(command: &str, job: &JobStatus, message: &str) -> std::io::Result<Option<String>> {
+    let mut child = Command::new("sh")
+        .args(["-c", command])
+        .env("FEMC_JOB", job.job.to_string())
+        .env("FEMC_NAME", &job.name)
+        .env("FEMC_OWNER", &job.owner)
+        .env("FEMC_STATE", job.state.name())
+        .env("FEMC_FRAMES", job.frames_total.to_string())
+        .env("FEMC_FRAMES_DONE", job.frames_done.to_string())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .kill_on_drop(true)
+        .spawn()?;
+    let stdin = child.stdin.take();
+    let write = async move {
+        if let Some(mut stdin) = stdin {
+            // A command need not read it.
+            let _ = stdin.write_all(message.as_bytes()).await;
+        }
+    };
+    let done = async { tokio::join!(write, child.wait_with_output()).1 };
+    let Ok(output) = tokio::time::timeout(LONGEST, done).await else {
+        return Ok(Some(format!("it ran for longer than {} s and was killed", LONGEST.as_secs())));
+    };
+    let output = output?;
+    if output.status.success() {
+        return Ok(None);
+    }
+    let errors = &output.stderr[output.stderr.len().saturating_sub(TOLD)..];
+    Ok(Some(format!("{}: {}", output.status, String::from_utf8_lossy(errors).trim())))
+}

@@ -1,0 +1,91 @@
+//! Signatures of messages, as Standard Webhooks has them.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use ring::hmac;
+
+/// Key of signatures; not shown.
+#[derive(Clone)]
+pub struct NotifyKey(Arc<hmac::Key>);
+
+/// A file without a key.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyError {
+    /// It cannot be read.
+    #[error("{path}: {error}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Error of the operating system.
+        error: std::io::Error,
+    },
+    /// It is short, or no base64 after `whsec_`.
+    #[error(
+        "{path}: a key has {} bytes or more, or is whsec_ and their base64; `openssl rand -base64 32` makes one",
+        NotifyKey::LEAST
+    )]
+    Form {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl NotifyKey {
+    /// Fewest bytes of a key.
+    const LEAST: usize = 16;
+
+    /// The key in a file: `whsec_` and base64, or the bytes themselves without white space at their ends.
+    ///
+    /// # Errors
+    /// The file cannot be read, or has no key.
+    pub fn read(path: &Path) -> Result<Self, KeyError> {
+        let bytes = std::fs::read(path).map_err(|error| KeyError::Read { path: path.to_owned(), error })?;
+        Self::of(&bytes).ok_or_else(|| KeyError::Form { path: path.to_owned() })
+    }
+
+    fn of(bytes: &[u8]) -> Option<Self> {
+        let text = bytes.trim_ascii();
+        let key = match text.strip_prefix(b"whsec_") {
+            Some(encoded) => STANDARD.decode(encoded).ok()?,
+            None => text.to_vec(),
+        };
+        (key.len() >= Self::LEAST).then(|| Self(Arc::new(hmac::Key::new(hmac::HMAC_SHA256, &key))))
+    }
+
+    /// Signature of a message: `v1,` and the base64 of HMAC-SHA256 over its name, its time and its body.
+    pub(super) fn sign(&self, id: &str, unix_seconds: u64, body: &str) -> String {
+        let tag = hmac::sign(&self.0, format!("{id}.{unix_seconds}.{body}").as_bytes());
+        format!("v1,{}", STANDARD.encode(tag))
+    }
+}
+
+impl fmt::Debug for NotifyKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("NotifyKey")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_signature_is_that_of_the_standards_example() {
+        // From the specification of Standard Webhooks, and by Python's `hmac`.
+        let key = NotifyKey::of(b"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\n").expect("a key");
+        let signature = key.sign("msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
+        assert_eq!(signature, "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
+    }
+
+    #[test]
+    fn short_keys_and_what_is_no_base64_are_refused() {
+        assert!(NotifyKey::of(b"0123456789abcdef").is_some());
+        for bad in [&b""[..], b"short", b"whsec_", b"whsec_c2hvcnQ=", b"whsec_not base64 but long enough"] {
+            assert!(NotifyKey::of(bad).is_none(), "{bad:?}");
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! URLs that jobs may name. Who may submit must not reach the coordinator's network by it.
+
+use std::fmt;
+use std::str::FromStr;
+
+use url::Url;
+
+/// A beginning of URLs: scheme, host, port, and whole segments of a path.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UrlPrefix(Url);
+
+/// A text that is no [`UrlPrefix`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{text}` is no beginning of URLs: {message}; write it like https://hooks.example.com/femc/")]
+pub struct PrefixError {
+    text: String,
+    message: String,
+}
+
+impl FromStr for UrlPrefix {
+    type Err = PrefixError;
+
+    fn from_str(text: &str) -> Result<Self, PrefixError> {
+        let fault = |message: String| PrefixError { text: text.to_owned(), message };
+        let url = parsed(text).map_err(fault)?;
+        if url.query().is_some() || url.fragment().is_some() {
+            return Err(fault("a prefix ends with a path".to_owned()));
+        }
+        Ok(Self(url))
+    }
+}
+
+impl fmt::Display for UrlPrefix {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl UrlPrefix {
+    /// Whether a URL begins so.
+    fn allows(&self, url: &Url) -> bool {
+        let is_there = url.scheme() == self.0.scheme()
+            && url.host() == self.0.host()
+            && url.port_or_known_default() == self.0.port_or_known_default();
+        let rest = url.path().strip_prefix(self.0.path());
+        is_there && rest.is_some_and(|rest| self.0.path().ends_with('/') || rest.is_empty() || rest.starts_with('/'))
+    }
+
+    /// The server, without the path, which may be a secret.
+    fn server(&self) -> String {
+        self.0.origin().ascii_serialization()
+    }
+}
+
+/// A URL of HTTP with a host and without a user.
+fn parsed(text: &str) -> Result<Url, String> {
+    let url = Url::parse(text).map_err(|error| error.to_string())?;
+    if !matches!(url.scheme(), "http" | "https") {
+        return Err(format!("it begins with {}:, not with https: or http:", url.scheme()));
+    }
+    if url.host().is_none() {
+        return Err("it names no host".to_owned());
+    }
+    if !url.username().is_empty() || url.password().is_some() {
+        return Err("it names a user or a password, which would be shown to others".to_owned());
+    }
+    Ok(url)
+}
+
+/// The URL of this text, if one of these prefixes allows it; otherwise the reason for which it is refused.
+pub(super) fn allowed(prefixes: &[UrlPrefix], text: &str) -> Result<Url, String> {
+    let url = parsed(text).map_err(|message| format!("`{text}` is no URL to notify: {message}"))?;
+    if prefixes.iter().any(|prefix| prefix.allows(&url)) {
+        return Ok(url);
+    }
+    if prefixes.is_empty() {
+        return Err("this coordinator notifies nobody: it was started without --notify-allow".to_owned());
+    }
+    let mut servers: Vec<String> = prefixes.iter().map(UrlPrefix::server).collect();
+    servers.dedup();
+    Err(format!("this coordinator does not notify `{text}`: it allows only some URLs of {}", servers.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_begins_so_is_allowed_and_nothing_that_only_looks_so() {
+        let prefixes = ["https://hooks.test/femc/", "http://127.0.0.1:9000", "https://a.test/x"];
+        let prefixes: Vec<UrlPrefix> = prefixes.iter().map(|text| text.parse().expect(text)).collect();
+        for good in [
+            "https://hooks.test/femc/",
+            "https://hooks.test/femc/a/b?c=d",
+            "https://HOOKS.test:443/femc/x",
+            "https://hooks.test/other/../femc/x",
+            "http://127.0.0.1:9000/any/path",
+            "https://a.test/x",
+            "https://a.test/x/y",
+        ] {
+            assert!(allowed(&prefixes, good).is_ok(), "{good}");
+        }
+        for bad in [
+            "https://hooks.test/femc",
+            "https://hooks.test/femc/../admin",
+            "https://hooks.test/femc/%2e%2e/admin",
+            "https://hooks.test/femc\\..\\..\\admin",
+            "https://hooks.test.evil.test/femc/",
+            "https://hooks.test@evil.test/femc/",
+            "https://ann:secret@hooks.test/femc/",
+            "https://hooks.test:8443/femc/",
+            "http://hooks.test/femc/",
+            "http://127.0.0.1:9001/",
+            "http://127.0.0.1.evil.test:9000/",
+            "http://169.254.169.254/latest/meta-data",
+            "https://a.test/xy",
+            "file:///etc/passwd",
+            "ftp://hooks.test/femc/",
+            "hooks.test/femc/",
+            "",
+        ] {
+            assert!(allowed(&prefixes, bad).is_err(), "{bad}");
+        }
+        let told = allowed(&prefixes, "https://evil.test/").expect_err("not allowed");
+        assert!(told.contains("https://hooks.test") && !told.contains("/femc"), "{told}");
+        assert!(allowed(&[], "https://hooks.test/").expect_err("none is").contains("--notify-allow"));
+    }
+
+    #[test]
+    fn a_prefix_is_a_url_of_http_and_ends_with_a_path() {
+        for text in
+            ["hooks.test", "https://", "https://a.test/?b", "https://a.test/#b", "https://u@a.test/", "file:///x"]
+        {
+            assert!(text.parse::<UrlPrefix>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! Notes on a job: a comment, labels, and an address that is told of its end. They decide no pixel and no order.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+/// Notes that a job is submitted with.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JobNotes {
+    /// A line for people; empty: none.
+    pub comment: String,
+    /// Names and values to find the job by, such as the values of a sweep's variant.
+    pub labels: BTreeMap<String, String>,
+    /// URL to which the coordinator posts a message when the job has ended; `None`: no message. Coordinators take only URLs that
+    /// they allow.
+    pub notify: Option<String>,
+}
+
+impl JobNotes {
+    /// Most bytes of a comment.
+    pub const MAX_COMMENT: usize = 4096;
+    /// Most labels.
+    pub const MAX_LABELS: usize = 64;
+    /// Most bytes of the name of a label, and of its value.
+    pub const MAX_LABEL: usize = 256;
+    /// Most bytes of a URL.
+    pub const MAX_URL: usize = 2048;
+
+    /// Checks the limits, and that nothing steers a terminal.
+    ///
+    /// # Errors
+    /// Names the field and its fault.
+    pub fn check(&self) -> Result<(), NotesError> {
+        let Self { comment, labels, notify } = self;
+        if comment.len() > Self::MAX_COMMENT {
+            return Err(NotesError::TooLong { what: "comment", limit: Self::MAX_COMMENT });
+        }
+        if comment.contains(char::is_control) {
+            return Err(NotesError::Control { what: "comment" });
+        }
+        if labels.len() > Self::MAX_LABELS {
+            return Err(NotesError::Labels { labels: labels.len() });
+        }
+        for (name, value) in labels {
+            if name.is_empty() || name.contains('=') {
+                return Err(NotesError::LabelName { name: name.escape_default().to_string() });
+            }
+            if name.len().max(value.len()) > Self::MAX_LABEL {
+                return Err(NotesError::TooLong { what: "label", limit: Self::MAX_LABEL });
+            }
+            if [name, value].into_iter().any(|text| text.contains(char::is_control)) {
+                return Err(NotesError::Control { what: "label" });
+            }
+        }
+        match notify {
+            Some(url) if url.len() > Self::MAX_URL => {
+                Err(NotesError::TooLong { what: "URL to notify", limit: Self::MAX_URL })
+            }
+            Some(url) if url.contains(char::is_control) => Err(NotesError::Control { what: "URL to notify" }),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A fault of a job's notes.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NotesError {
+    /// A text beyond its limit.
+    #[error("the {what} is too long: at most {limit} bytes")]
+    TooLong {
+        /// The text.
+        what: &'static str,
+        /// Most bytes.
+        limit: usize,
+    },
+    /// A text that steers terminals.
+    #[error("the {what} contains control characters, such as line ends: it is one line of text")]
+    Control {
+        /// The text.
+        what: &'static str,
+    },
+    /// Too many labels.
+    #[error("{labels} labels, at most {}", JobNotes::MAX_LABELS)]
+    Labels {
+        /// Number of labels.
+        labels: usize,
+    },
+    /// A name that cannot be told from its value.
+    #[error("`{name}` cannot be the name of a label: it is not empty and contains no `=`")]
+    LabelName {
+        /// The name.
+        name: String,
+    },
+}
+
+impl NotesError {
+    /// Name of the field at fault.
+    pub fn field(&self) -> &'static str {
+        match self {
+            Self::TooLong { what: "comment", .. } | Self::Control { what: "comment" } => "comment",
+            Self::TooLong { what: "label", .. }
+            | Self::Control { what: "label" }
+            | Self::Labels { .. }
+            | Self::LabelName { .. } => "labels",
+            Self::TooLong { .. } | Self::Control { .. } => "notify",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labelled(name: &str, value: &str) -> JobNotes {
+        JobNotes { labels: [(name.to_owned(), value.to_owned())].into(), ..JobNotes::default() }
+    }
+
+    #[test]
+    fn notes_beyond_their_limits_and_texts_that_steer_terminals_are_refused() {
+        let long = |n| "x".repeat(n);
+        let good = JobNotes {
+            comment: long(4096),
+            labels: (0..64).map(|number| (number.to_string(), long(256))).collect(),
+            notify: Some(long(2048)),
+        };
+        assert_eq!(good.check(), Ok(()));
+        assert_eq!(labelled("medium.fog.sigma_s", "").check(), Ok(()));
+        let refused = [
+            JobNotes { comment: long(4097), ..good.clone() },
+            JobNotes { comment: "a\u{1b}[2J".into(), ..good.clone() },
+            JobNotes { labels: (0..65).map(|number| (number.to_string(), String::new())).collect(), ..good.clone() },
+            JobNotes { notify: Some(long(2049)), ..good.clone() },
+            JobNotes { notify: Some("http://a/\n".into()), ..good },
+            labelled("", "a"),
+            labelled("a=b", "c"),
+            labelled(&long(257), "a"),
+            labelled("a", &long(257)),
+            labelled("a\t", "b"),
+            labelled("a", "b\r"),
+        ];
+        for notes in refused {
+            assert!(notes.check().is_err(), "{notes:?}");
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! Usage by owner and month, for accounts. It is independent of the order of service, whose figures serve fairness alone.
+//!
+//! Sums become durable every few seconds ([`Scheduler::NOTE_SHARES`]): a coordinator that is killed forgets no more than that.
+
+use std::collections::BTreeMap;
+
+use femc_model::{Month, OwnerUsage, TaskKey, Tick, Usage, UsageSums};
+
+use crate::ledger::Job;
+use crate::scheduler::Scheduler;
+use crate::{Command, Fact};
+
+/// Usage that is not durable yet.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Meter {
+    month: Option<Month>,
+    owners: BTreeMap<String, UsageSums>,
+}
+
+impl Meter {
+    /// Adds to an owner's usage of this month.
+    pub(crate) fn add(&mut self, owner: &str, sums: UsageSums) {
+        if self.month.is_none() {
+            return;
+        }
+        match self.owners.get_mut(owner) {
+            Some(known) => *known = known.plus(sums),
+            None => drop(self.owners.insert(owner.to_owned(), sums)),
+        }
+    }
+}
+
+impl Scheduler {
+    /// Begins a month; what came before belongs to the month before.
+    pub(crate) fn month(&mut self, month: Month, now: Tick, out: &mut Vec<Command>) {
+        if self.meter.month == Some(month) {
+            return;
+        }
+        self.note_shares(now, out);
+        self.note_usage(now, out);
+        self.meter.month = Some(month);
+    }
+
+    /// Adds to the usage of the owner of a task's job. Those whose jobs wait for a shared stage have it in equal parts by weight.
+    pub(crate) fn meter_attempt(&mut self, task: &TaskKey, usage: &Usage) {
+        let microseconds = (usage.cpu * 1e6) as u64;
+        let Some(job) = self.ledger.jobs.get(&task.job).filter(|_| microseconds > 0) else { return };
+        if job.shared.is_some() {
+            for (owner, part) in self.split(job, microseconds) {
+                self.meter.add(&owner, UsageSums { processor_us: part, ..UsageSums::default() });
+            }
+            return;
+        }
+        self.meter.add(&job.spec.owner, UsageSums { processor_us: microseconds, ..UsageSums::default() });
+    }
+
+    /// Counts a task that was done, and its frame, where that was finished by it.
+    pub(crate) fn meter_task(&mut self, task: &TaskKey, samples: u64) {
+        let Some(job) = self.ledger.jobs.get(&task.job) else { return };
+        let frames = u64::from(is_finished_frame(job, task));
+        self.meter.add(&job.spec.owner, UsageSums { frames, tasks: 1, samples, ..UsageSums::default() });
+    }
+
+    /// Makes durable what was added.
+    pub(crate) fn note_usage(&mut self, now: Tick, out: &mut Vec<Command>) {
+        let Some(month) = self.meter.month else { return };
+        let added = std::mem::take(&mut self.meter.owners);
+        if added.is_empty() {
+            return;
+        }
+        let side = &self.ledger.side;
+        let whole = added.into_iter().map(|(owner, sums)| {
+            let sums = side.metered_of(month, &owner).plus(sums);
+            OwnerUsage { month, owner, sums }
+        });
+        let usage = whole.collect();
+        self.record(Fact::Metered { usage }, now, out);
+    }
+
+    /// Usage by month and owner, until the last event; the time of leases that hold is charged every few seconds.
+    pub fn usage_by_owner(&self) -> Vec<OwnerUsage> {
+        let mut all: BTreeMap<(Month, String), UsageSums> =
+            self.ledger.side.metered().map(|row| ((row.month, row.owner), row.sums)).collect();
+        if let Some(month) = self.meter.month {
+            for (owner, sums) in &self.meter.owners {
+                let known = all.entry((month, owner.clone())).or_default();
+                *known = known.plus(*sums);
+            }
+        }
+        all.into_iter().map(|((month, owner), sums)| OwnerUsage { month, owner, sums }).collect()
+    }
+}
+
+fn is_finished_frame(job: &Job, task: &TaskKey) -> bool {
+    let frame = task.stage.frame;
+    frame != femc_model::Stage::OF_JOB && job.shared.is_none() && job.finished.contains_key(&frame)
+}

@@ -1,0 +1,186 @@
+//! Usage by owner and month, deleted jobs, and ends that are to be announced.
+
+use femc_model::*;
+use femc_schedule::*;
+
+use crate::common::{self, Farm, job};
+
+fn month(text: &str) -> Month {
+    text.parse().expect("a month")
+}
+
+fn of(owner: &str, frames: &[u32], tiles: u32) -> JobSpec {
+    JobSpec { owner: owner.into(), ..job(frames, tiles, &[4]) }
+}
+
+/// The worker does its oldest task within `milliseconds`, and says that it took so many processor seconds.
+fn work(farm: &mut Farm, worker: u64, milliseconds: u64, cpu: f64) {
+    let held = farm.first_of(worker);
+    farm.wait(milliseconds);
+    let usage = TaskUsage { task: held.task, epoch: held.epoch, usage: Usage { cpu, ..Usage::default() } };
+    farm.on(Event::Usage { worker: WorkerId(worker), usage });
+    farm.complete(worker, &held, Decision::Done);
+}
+
+fn finish(farm: &mut Farm, worker: u64) {
+    while farm.held.iter().any(|(holder, _)| holder.0 == worker) {
+        work(farm, worker, 100, 0.25);
+    }
+}
+
+fn sums(farm: &Farm, of: &str, owner: &str) -> UsageSums {
+    let all = farm.scheduler.usage_by_owner();
+    all.iter().find(|row| row.month == month(of) && row.owner == owner).map(|row| row.sums).unwrap_or_default()
+}
+
+#[test]
+fn usage_is_what_the_leases_of_an_owner_held_and_what_his_attempts_took() {
+    let mut farm = Farm::new();
+    farm.on(Event::Month(month("2026-11")));
+    farm.join(1);
+    farm.submit(of("ann", &[1, 2], 3));
+    finish(&mut farm, 1);
+    farm.submit(of("bob", &[1], 2));
+    finish(&mut farm, 1);
+    farm.wait(Scheduler::NOTE_SHARES);
+    let (ann, bob) = (sums(&farm, "2026-11", "ann"), sums(&farm, "2026-11", "bob"));
+    assert_eq!((ann.jobs, ann.frames, bob.jobs, bob.frames), (1, 2, 1, 1));
+    // Three tiles and an image a frame, two tiles and an image.
+    assert_eq!((ann.tasks, bob.tasks), (8, 3));
+    assert_eq!((ann.processor_us, bob.processor_us), (8 * 250_000, 3 * 250_000));
+    assert_eq!((ann.worker_ms, bob.worker_ms), (farm.charged["ann"], farm.charged["bob"]));
+    assert_eq!((ann.samples, bob.samples), (farm.status(JobId(1)).samples_done, farm.status(JobId(2)).samples_done));
+}
+
+#[test]
+fn usage_belongs_to_the_month_in_which_it_was_and_outlives_the_job_and_the_coordinator() {
+    let mut farm = Farm::new();
+    farm.on(Event::Month(month("2026-11")));
+    farm.join(1);
+    let id = farm.submit(of("ann", &[1], 3));
+    work(&mut farm, 1, 400, 0.5);
+    farm.on(Event::Month(month("2026-12")));
+    finish(&mut farm, 1);
+    let november = sums(&farm, "2026-11", "ann");
+    assert_eq!((november.jobs, november.tasks, november.processor_us), (1, 1, 500_000));
+    let december = sums(&farm, "2026-12", "ann");
+    assert_eq!((december.jobs, december.frames, december.tasks, december.processor_us), (0, 1, 3, 750_000));
+    assert_eq!(november.worker_ms + december.worker_ms, farm.charged["ann"]);
+    farm.wait(Scheduler::NOTE_SHARES);
+    farm.control(id, Control::Delete);
+    let told = farm.scheduler.usage_by_owner();
+    farm.restart();
+    assert_eq!(farm.scheduler.usage_by_owner(), told, "all of it is durable");
+    assert_eq!(told.iter().map(|row| row.month.to_string()).collect::<Vec<_>>(), ["2026-11", "2026-12"]);
+}
+
+#[test]
+fn a_coordinator_that_dies_forgets_five_seconds_of_usage_at_most() {
+    let mut farm = Farm::new();
+    farm.on(Event::Month(month("2026-11")));
+    farm.join(1);
+    farm.submit(of("ann", &[1], 60));
+    for _ in 0..50 {
+        work(&mut farm, 1, 300, 0.3);
+    }
+    let before = sums(&farm, "2026-11", "ann");
+    farm.restart();
+    let after = sums(&farm, "2026-11", "ann");
+    let lost = before.worker_ms - after.worker_ms;
+    assert!(lost <= Scheduler::NOTE_SHARES, "{lost} ms");
+    // A task takes 300 ms.
+    let lost = before.processor_us - after.processor_us;
+    assert!(lost <= 1000 * (Scheduler::NOTE_SHARES + 300), "{lost} us");
+}
+
+#[test]
+fn without_a_month_nothing_is_summed() {
+    let mut farm = Farm::new();
+    farm.join(1);
+    farm.submit(of("ann", &[1], 3));
+    finish(&mut farm, 1);
+    farm.wait(Scheduler::NOTE_SHARES);
+    assert!(farm.scheduler.usage_by_owner().is_empty());
+}
+
+#[test]
+fn only_a_job_that_has_ended_can_be_deleted_and_then_nothing_names_it() {
+    let mut farm = Farm::new();
+    farm.join(1);
+    let (first, second) = (farm.submit(of("ann", &[1], 3)), farm.submit(of("ann", &[1], 3)));
+    let refused = |commands: &[Command]| {
+        commands.iter().find_map(|command| match command {
+            Command::Answer { answer, .. } => answer.clone().err(),
+            _ => None,
+        })
+    };
+    let commands = farm.control(first, Control::Delete);
+    assert!(
+        matches!(refused(&commands), Some(Refusal::Invalid { message, .. }) if message.contains("cancel it first"))
+    );
+    finish(&mut farm, 1);
+    let commands = farm.control(first, Control::Delete);
+    assert_eq!(refused(&commands), None);
+    assert!(commands.contains(&Command::Changed(first)), "whoever watches hears of it");
+    assert_eq!(farm.scheduler.status(first, farm.now), Err(Refusal::NoSuchJob { job: first }));
+    assert_eq!(refused(&farm.control(first, Control::Delete)), Some(Refusal::NoSuchJob { job: first }));
+    assert_eq!(farm.state(second), JobState::Done);
+    farm.control(second, Control::Delete);
+    assert!(farm.scheduler.ledger().references().is_empty(), "what they had made can go");
+    farm.restart();
+    assert!(farm.scheduler.jobs(farm.now).is_empty());
+    // A number is never used again.
+    assert!(farm.submit(of("ann", &[1], 3)) > second);
+}
+
+#[test]
+fn an_end_is_announced_until_that_was_done_and_once_for_each_end() {
+    let mut farm = Farm::new();
+    farm.join(1);
+    let spec = Box::new(of("ann", &[1], 3));
+    let submitted = Event::Submitted { request: RequestId(7), key: None, spec, date: Some(1_795_680_000_000) };
+    let Some(Answer::Submitted(id)) = common::answer(&farm.on(submitted)) else { panic!("it is taken") };
+    assert_eq!(farm.scheduler.end_to_announce(id), None);
+    farm.control(id, Control::Cancel);
+    let cancelled = farm.scheduler.end_to_announce(id).expect("it has ended");
+    farm.restart();
+    farm.wait(10_000);
+    assert_eq!(farm.scheduler.ends_to_announce(), [(id, cancelled)], "also after a restart");
+    farm.on(Event::Announced { job: id, ended: Tick(cancelled.0 + 1) });
+    assert_eq!(farm.scheduler.ends_to_announce(), [(id, cancelled)], "that was another end");
+    farm.on(Event::Announced { job: id, ended: cancelled });
+    farm.restart();
+    assert_eq!(farm.scheduler.ends_to_announce(), []);
+    farm.wait(10_000);
+    farm.control(id, Control::Retry);
+    assert_eq!(farm.scheduler.ends_to_announce(), [], "it goes on");
+    farm.join(1);
+    farm.wait(100);
+    finish(&mut farm, 1);
+    assert_eq!(farm.state(id), JobState::Done);
+    let done = farm.scheduler.end_to_announce(id).expect("it has ended once more");
+    assert!(done > cancelled);
+    farm.on(Event::Announced { job: id, ended: cancelled });
+    assert_eq!(farm.scheduler.end_to_announce(id), Some(done), "the end before is not this one");
+    let commands = farm.on(Event::Announced { job: id, ended: done });
+    assert_eq!(commands.iter().filter(|it| matches!(it, Command::Record(Fact::Announced { .. }))).count(), 1);
+    let again = farm.on(Event::Announced { job: id, ended: done });
+    assert!(again.is_empty(), "{again:?}");
+}
+
+#[test]
+fn notes_are_kept_with_the_job() {
+    let mut farm = Farm::new();
+    let notes = JobNotes {
+        comment: "before the change of lamps".into(),
+        labels: [("shot".to_owned(), "12".to_owned())].into(),
+        notify: Some("https://hooks.test/femc".into()),
+    };
+    let id = farm.submit(JobSpec { notes: notes.clone(), ..of("ann", &[1], 3) });
+    farm.restart();
+    assert_eq!(farm.status(id).notes, notes);
+    let refused = JobNotes { comment: "a\nb".into(), ..notes };
+    let spec = Box::new(JobSpec { notes: refused, ..of("ann", &[1], 3) });
+    let commands = farm.on(Event::Submitted { request: RequestId(99), key: None, spec, date: None });
+    assert_eq!(common::answer(&commands), None, "{commands:?}");
+}

@@ -1,5 +1,6 @@
 //! The program, as people run it: real processes in temporary folders, a module a topic.
 
+mod accounts;
 mod attacks;
 mod backup;
 mod bench;

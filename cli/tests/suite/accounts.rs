@@ -1,0 +1,216 @@
+//! Comments, labels, deleted jobs, usage, and who is told of a job's end.
+
+use crate::common::{Place, Running, coordinator, status};
+use std::io::{Read, Write};
+use std::net::TcpListener;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+/// A message that a receiver got: its head, in lower case, and its body.
+struct Received {
+    head: String,
+    body: serde_json::Value,
+}
+
+impl Received {
+    fn header(&self, name: &str) -> &str {
+        let of = |line: &'_ str| line.strip_prefix(name).and_then(|rest| rest.strip_prefix(": ")).map(str::len);
+        let line = self.head.lines().find(|line| of(line).is_some()).unwrap_or_else(|| panic!("{name}: {}", self.head));
+        &line[name.len() + 2..]
+    }
+}
+
+/// A server of messages on a free port that answers with these statuses, and with 200 from then on.
+fn receiver(statuses: &'static [&str]) -> (u16, Receiver<Received>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = listener.local_addr().expect("its address").port();
+    let (send, received) = channel();
+    std::thread::spawn(move || {
+        for (number, stream) in listener.incoming().enumerate() {
+            let mut stream = stream.expect("a connection");
+            let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
+            let (head, body) = loop {
+                let read = stream.read(&mut piece).expect("a request");
+                bytes.extend_from_slice(&piece[..read]);
+                let text = String::from_utf8_lossy(&bytes).into_owned();
+                let Some((head, body)) = text.split_once("\r\n\r\n") else { continue };
+                let head = head.to_lowercase();
+                let length = head.lines().find_map(|line| line.strip_prefix("content-length: "));
+                if length.and_then(|length| length.parse().ok()) == Some(body.len()) {
+                    break (head, body.to_owned());
+                }
+            };
+            let status = statuses.get(number).unwrap_or(&"200 OK");
+            write!(stream, "HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n").expect("an answer");
+            let body = serde_json::from_str(&body).expect("JSON");
+            if send.send(Received { head, body }).is_err() {
+                return;
+            }
+        }
+    });
+    (port, received)
+}
+
+fn next(received: &Receiver<Received>) -> Received {
+    received.recv_timeout(Duration::from_secs(60)).expect("a message")
+}
+
+fn start(place: &Place, options: &str) -> (Running, String) {
+    let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts {options}");
+    let mut coordinator = place.start(&line);
+    let url = coordinator.address();
+    (coordinator, url)
+}
+
+fn submit(place: &Place, url: &str, more: &[&str]) -> String {
+    let mut command = place.command(&format!("submit fog.mgf --size 16x16 --spp 1 --server {url}"));
+    let output = command.args(more).output().expect("femc runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).lines().last().expect("a number").to_owned()
+}
+
+#[test]
+fn the_end_of_a_job_is_posted_until_it_is_taken_signed_and_only_to_where_the_coordinator_allows_it() {
+    let place = Place::new();
+    place.write("key", "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\n");
+    let (port, received) = receiver(&["503 Service Unavailable", "302 Found"]);
+    let (mut farm, url) = start(&place, &format!("--notify-allow http://127.0.0.1:{port}/hooks/ --notify-key key"));
+    for refused in [format!("http://127.0.0.1:{port}/admin"), "http://169.254.169.254/".to_owned()] {
+        let ran = place.run(&format!("submit fog.mgf --notify {refused} --server {url}")).exits(2);
+        assert!(ran.stderr().contains("does not notify") && ran.stderr().contains(&refused), "{}", ran.stderr());
+    }
+    let notify = format!("http://127.0.0.1:{port}/hooks/femc");
+    let job =
+        submit(&place, &url, &["--frames", "1", "--notify", &notify, "--label", "shot=12", "--comment", "a draft"]);
+    place.run(&format!("cancel {job} --server {url}")).exits(0);
+    let all: Vec<Received> = (0..3).map(|_| next(&received)).collect();
+    for one in &all {
+        assert!(one.head.starts_with("post /hooks/femc http/1.1"), "{}", one.head);
+        assert_eq!(one.header("webhook-id"), all[0].header("webhook-id"), "a repetition has the same name");
+        assert!(one.header("webhook-signature").starts_with("v1,"));
+        assert_eq!(one.body["type"], "job.cancelled");
+        assert_eq!(one.body["data"]["job"].to_string(), job);
+        assert_eq!(one.body["data"]["labels"]["shot"], "12");
+        assert_eq!(one.body["data"]["comment"], "a draft");
+    }
+    // It was taken, and that is durable when the next one is told: nobody tells it again.
+    let second = submit(&place, &url, &["--frames", "2", "--notify", &notify]);
+    place.run(&format!("cancel {second} --server {url}")).exits(0);
+    assert_eq!(next(&received).body["data"]["job"].to_string(), second);
+    farm.signal("TERM");
+    farm.end().exits(0);
+    let (_farm, url) = start(&place, &format!("--notify-allow http://127.0.0.1:{port}/hooks/ --notify-key key"));
+    let other = submit(&place, &url, &["--frames", "2", "--notify", &notify]);
+    place.run(&format!("cancel {other} --server {url}")).exits(0);
+    // The second message may come once more: it was taken at the last moment.
+    let job = loop {
+        let job = next(&received).body["data"]["job"].to_string();
+        if job != second {
+            break job;
+        }
+    };
+    assert_eq!(job, other);
+}
+
+#[test]
+fn an_end_that_a_killed_coordinator_has_not_told_is_told_by_the_next_one() {
+    let place = Place::new();
+    place.write("key", "0123456789abcdef0123456789abcdef");
+    let closed = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = closed.local_addr().expect("its address").port();
+    drop(closed);
+    let options = format!("--notify-allow http://127.0.0.1:{port}/ --notify-key key");
+    let (mut farm, url) = start(&place, &options);
+    let job = submit(&place, &url, &["--frames", "1", "--notify", &format!("http://127.0.0.1:{port}/a")]);
+    place.run(&format!("cancel {job} --server {url}")).exits(0);
+    farm.kill();
+    let listener = TcpListener::bind(("127.0.0.1", port)).expect("the port is free");
+    let (_farm, _) = start(&place, &options);
+    let (mut stream, _) = listener.accept().expect("a message");
+    let mut head = [0; 16];
+    stream.read_exact(&mut head).expect("its head");
+    assert_eq!(&head[..7], b"POST /a");
+}
+
+#[test]
+fn a_command_runs_at_the_end_of_each_job_and_knows_it() {
+    let place = Place::new();
+    place.write(
+        "end.sh",
+        "cat > \"ended-$FEMC_JOB.json\"; echo \"$FEMC_NAME $FEMC_STATE $FEMC_FRAMES_DONE/$FEMC_FRAMES\" >> ends\n",
+    );
+    let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts --on-end";
+    let mut farm = Running::of(place.command(line).arg("sh end.sh"));
+    let url = farm.address();
+    let done = submit(&place, &url, &["--frames", "1,3", "--name", "draft"]);
+    let worker = place.start(&format!("worker --join {url} --threads 1"));
+    place.run(&format!("watch {done} --server {url}")).exits(0);
+    farm.wait_until("the first end", || place.read("ends").lines().count() == 1);
+    assert_eq!(place.read("ends"), "draft done 2/2\n");
+    let message: serde_json::Value = serde_json::from_str(&place.read(&format!("ended-{done}.json"))).expect("JSON");
+    assert_eq!((&message["type"], &message["data"]["frames_done"]), (&"job.done".into(), &2.into()));
+    drop(worker);
+    let cancelled = submit(&place, &url, &["--frames", "2"]);
+    place.run(&format!("cancel {cancelled} --server {url}")).exits(0);
+    farm.wait_until("the second end", || place.read("ends").lines().count() == 2);
+    assert!(place.read("ends").ends_with("fog cancelled 0/1\n"), "{}", place.read("ends"));
+}
+
+#[test]
+fn jobs_are_found_by_their_labels_and_deleted_ones_leave_their_usage() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let job =
+        submit(&place, &url, &["--frames", "1,5", "--label", "shot=12", "--comment", "before the change of lamps"]);
+    let other = submit(&place, &url, &["--frames", "1", "--label", "shot=13"]);
+    let found = place.run(&format!("jobs --label shot=12 --json --server {url}")).exits(0).json();
+    assert_eq!(found.as_array().map(Vec::len), Some(1), "{found}");
+    assert_eq!(
+        (found[0]["job"].to_string(), &found[0]["comment"]),
+        (job.clone(), &"before the change of lamps".into())
+    );
+    let told = place.run(&format!("status {job} --server {url}")).exits(0).stdout();
+    assert!(told.contains("before the change of lamps") && told.contains("shot=12"), "{told}");
+    let early = place.run(&format!("delete {job} --server {url}")).exits(2);
+    assert!(early.stderr().contains("cancel it first"), "{}", early.stderr());
+    let _worker = place.start(&format!("worker --join {url} --threads 1"));
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("watch {other} --server {url}")).exits(0);
+    place.run(&format!("delete --label shot=12 --server {url}")).exits(0);
+    place.run(&format!("status {job} --server {url}")).exits(2);
+    assert_eq!(status(&place, &url, &other)["state"], "done");
+    // What is not durable yet is told, too.
+    let csv = place.run(&format!("usage --csv --server {url}")).exits(0).stdout();
+    let mut lines = csv.lines();
+    assert_eq!(lines.next(), Some("month,owner,jobs,frames,tasks,samples,worker_seconds,processor_seconds"));
+    let row: Vec<&str> = lines.next().expect("a row").split(',').collect();
+    assert_eq!(row[2..4], ["2", "3"], "{csv}");
+    // Three frames of 16 x 16 pixels at one sample.
+    assert_eq!((row[5], lines.next()), ("768", None), "{csv}");
+    let (worker, processor): (f64, f64) = (row[6].parse().expect("seconds"), row[7].parse().expect("seconds"));
+    assert!(worker > 0.0 && processor > 0.0, "{csv}");
+    farm.signal("TERM");
+    farm.end().exits(0);
+}
+
+#[test]
+fn the_jobs_of_a_sweep_are_named_and_labelled_by_what_varies() {
+    let place = Place::new();
+    place.write(
+        "j.toml",
+        "scene = \"fog.mgf\"\nframes = \"1\"\nspp = 1\nsize = \"16x16\"\ncomment = \"which fog\"\n\
+         [labels]\nshot = \"12\"\n[sweep]\n\"medium.fog.sigma_s\" = [0.05, 0.2]\n",
+    );
+    let (_farm, url) = coordinator(&place, 0);
+    place.run(&format!("sweep j.toml --priority 70 --owner ann --label by=hand --server {url}")).exits(0);
+    let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
+    for (job, value) in jobs.as_array().expect("jobs").iter().zip(["0.05", "0.2"]) {
+        assert_eq!(job["name"], format!("fog-sigma_s={value}"));
+        assert_eq!(
+            (&job["priority"], &job["owner"], &job["comment"]),
+            (&70.into(), &"ann".into(), &"which fog".into())
+        );
+        assert_eq!(job["labels"], serde_json::json!({"by": "hand", "medium.fog.sigma_s": value, "shot": "12"}));
+    }
+    assert_eq!(jobs.as_array().map(Vec::len), Some(2));
+}

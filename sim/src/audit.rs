@@ -423,7 +423,7 @@ pub enum Violation {
     },
     /// A worker got a task that computes while the tasks that waited there were worth more time than may wait.
     #[error(
-        "at {at:.3?} the worker of process {instance} is leased {task} behind {count} tasks that wait there and take at least \
+        "at {at:.3?} the worker of process {instance} is leased {task} while it has {count} waiting, which take at least \
          {milliseconds} ms"
     )]
     Deep {

@@ -226,7 +226,7 @@ impl Queue for Log {
                 let said = state.chronicle.take(tick, &fact, now, &state.answers.controls);
                 state.wrong.extend(leased.into_iter().chain(said));
                 fact_name(&fact).into_iter().for_each(|name| state.did(name));
-                state.queues.written(&fact, now);
+                state.queues.note_record(&fact, now);
                 state.shares.divide(&state.chronicle.payers_of_shared(), now);
                 match &fact {
                     Fact::Used { owners } => {

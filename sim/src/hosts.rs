@@ -176,7 +176,7 @@ async fn worker(seed: u64, host: usize, shared: Shared, paces: Paces, disk: Work
         hands: Hands::Simulated(Pace::fated(move |assignment| {
             let time = {
                 let mut state = fates.lock();
-                state.queues.begins(assignment.task, assignment.epoch);
+                state.queues.note_begun(assignment.task, assignment.epoch);
                 paces.time(assignment, state.chronicle.spec(assignment.task.job))
             };
             (time, fate(seed, host, &fates, assignment))

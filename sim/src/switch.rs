@@ -74,7 +74,7 @@ async fn relay(session: Session, shared: Shared) {
             shared.note(|| format!("{name} > {message:?}"));
             {
                 let mut state = shared.lock();
-                let kept = state.hears_worker(number, &message, now());
+                let kept = state.note_message(number, &message, now());
                 state.wrong.extend(kept);
             }
             match &message {
@@ -105,7 +105,7 @@ async fn relay(session: Session, shared: Shared) {
                     let aside = state.chronicle.may_lease(lease.task, lease.epoch);
                     let unserved = state.chronicle.may_read(&engine, lease, incarnation, now());
                     state.wrong.extend(leased.into_iter().chain(drained).chain(aside).chain(unserved));
-                    let queued = state.leases_out(number, lease, now());
+                    let queued = state.judge_lease(number, lease, now());
                     state.wrong.extend(queued);
                     running.insert((lease.epoch, lease.task));
                 }
@@ -113,7 +113,7 @@ async fn relay(session: Session, shared: Shared) {
                     running.remove(&(*epoch, *task));
                     let mut state = shared.lock();
                     state.leases.revoked(number, *task, *epoch);
-                    state.queues.over(number, *task, *epoch);
+                    state.queues.note_end(number, *task, *epoch);
                 }
                 ToWorker::Renewed { leases, .. } => {
                     let is_held =
@@ -126,12 +126,12 @@ async fn relay(session: Session, shared: Shared) {
                     running.remove(&(*epoch, *task));
                     let mut state = shared.lock();
                     state.accepted.insert((*task, *epoch));
-                    state.takes_report(number, *task, *epoch, now());
+                    state.note_accepted(number, *task, *epoch, now());
                 }
                 ToWorker::Refused { task, epoch, refusal } => {
                     // Each lease that ends is told, and what comes after that is a repetition.
                     let ran = running.remove(&(*epoch, *task));
-                    shared.lock().queues.over(number, *task, *epoch);
+                    shared.lock().queues.note_end(number, *task, *epoch);
                     if ran && *refusal == Refusal::StaleEpoch {
                         shared.lock().wrong.push(Violation::Silent { task: *task, epoch: *epoch });
                     }

@@ -1,6 +1,7 @@
 //! What must be true after a run, whatever happened in it.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 use femc_coordinator::ROSTER;
 use femc_model::{Artifact, Control, Digest, Ending, Epoch, JobId, JobSpec, JobStatus, TaskKey};
@@ -419,6 +420,72 @@ pub enum Violation {
     Ended {
         /// Error of the coordinator.
         message: String,
+    },
+    /// A worker got a task that computes while the tasks that waited there were worth more time than may wait.
+    #[error(
+        "at {at:.3?} the worker of process {instance} is leased {task} while it has {count} waiting, which take at least \
+         {milliseconds} ms"
+    )]
+    Deep {
+        /// The worker's process.
+        instance: u64,
+        /// The task.
+        task: TaskKey,
+        /// Tasks that waited.
+        count: usize,
+        /// Milliseconds that they take at least.
+        milliseconds: u64,
+        /// Simulated time.
+        at: Duration,
+    },
+    /// A worker on which the tasks of a job fail got another one before its pause was over.
+    #[error(
+        "at {at:.3?} the worker of process {instance} is leased {task}, {milliseconds} ms after its first pause began; {failures} \
+         tasks of the job failed there in a row, and the pauses after them are {pause} ms"
+    )]
+    Hasty {
+        /// The worker's process.
+        instance: u64,
+        /// The task.
+        task: TaskKey,
+        /// Failures in a row, without those of leases from before the first pause.
+        failures: u32,
+        /// Milliseconds since the first pause began.
+        milliseconds: u64,
+        /// Milliseconds of all pauses so far.
+        pause: u64,
+        /// Simulated time.
+        at: Duration,
+    },
+    /// A task that joins waited while a worker that could take it got a task that computes.
+    #[error(
+        "at {at:.3?} {task} had waited for {milliseconds} ms, and the worker of process {instance} was leased {other} before it"
+    )]
+    Starved {
+        /// The task that joins.
+        task: TaskKey,
+        /// The process of the worker that could take it.
+        instance: u64,
+        /// The task that this worker got.
+        other: TaskKey,
+        /// Milliseconds that the task had waited.
+        milliseconds: u64,
+        /// Simulated time.
+        at: Duration,
+    },
+    /// A drained worker has kept a task that it has not begun.
+    #[error(
+        "at {at:.3?} the worker of process {instance} has been drained for {milliseconds} ms, and {task} waits there"
+    )]
+    Kept {
+        /// The worker's process.
+        instance: u64,
+        /// The task that it has not begun.
+        task: TaskKey,
+        /// Milliseconds since the drain.
+        milliseconds: u64,
+        /// Simulated time.
+        at: Duration,
     },
     /// The log cannot be read.
     #[error("the log cannot be read: {0}")]

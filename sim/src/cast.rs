@@ -13,6 +13,7 @@ use rand::{RngExt as _, SeedableRng as _};
 
 use crate::audit::Violation;
 use crate::faults::Hardship;
+use crate::paces::Tempo;
 use crate::people::{Curse, Errand, Manner, Person, Whim, answer, drain_a_while, open_all, some};
 use crate::shared::Shared;
 use crate::shelf::Shelf;
@@ -42,6 +43,8 @@ pub(crate) struct Cast {
     senders: u64,
     /// At the end somebody removes garbage.
     collects: bool,
+    /// Jobs of very different pace, and when each comes.
+    paced: Vec<(Errand, Duration)>,
 }
 
 impl Cast {
@@ -90,6 +93,7 @@ impl Cast {
                 0
             },
             collects: seed % 16 == 5,
+            paced: paced(seed)?,
         })
     }
 
@@ -100,7 +104,7 @@ impl Cast {
         let weights: BTreeMap<String, u32> = owners.map(|owner| (owner, rng.random_range(1..4))).collect();
         let keep_ended = (rng.random_range(0..4) == 0).then(|| rng.random_range(1_500..12_000));
         // What is shared and nobody needs any more is forgotten at once, or but for the last, or never.
-        let schedule = stage::schedule(self.seed);
+        let schedule = if self.paced.is_empty() { stage::schedule(self.seed) } else { stage::paced() };
         let shared_bytes = [0, drill::BYTES, schedule.shared_bytes][(self.seed / 4 % 3) as usize];
         Config { weights, keep_ended, shared_bytes, ..schedule }
     }
@@ -123,7 +127,12 @@ impl Cast {
                 }
             }
         };
-        let lives = async { futures_util::future::join(join_all(people), join_all(senders)).await.0 };
+        let paced = self.paced.iter().map(|(errand, later)| comes_later(errand, *later, self.seed, &shared, &shelf));
+        let lives = async {
+            let (lived, paced, _) =
+                futures_util::future::join3(join_all(people), join_all(paced), join_all(senders)).await;
+            lived.into_iter().chain(paced).collect::<Vec<_>>()
+        };
         tokio::pin!(drains, lives);
         // Nobody waits for whoever drains workers.
         let lived = tokio::select! {
@@ -213,6 +222,35 @@ fn errand(rng: &mut SmallRng, most: usize, special: Option<Stage>) -> anyhow::Re
     let whim = Whim::pick(rng);
     let pauses = [0..9_000, 1_000..12_000].map(|range| Duration::from_millis(rng.random_range(range)));
     Ok(Errand { key: String::new(), spec, stage, whim, pauses })
+}
+
+/// In every fourth world two more people come: the tasks of one take milliseconds, those of the other seconds, and each has frames to
+/// finish while the other's tasks wait. Drawn apart, so that the other worlds stay as they are.
+fn paced(seed: u64) -> anyhow::Result<Vec<(Errand, Duration)>> {
+    let mut rng = SmallRng::seed_from_u64(seed ^ 0x0c0d_7e30);
+    if rng.random_range(0..4) > 0 {
+        return Ok(Vec::new());
+    }
+    let mut errand = |tempo: Tempo, rounds: usize, frames: usize| {
+        let stage = stage::even(rounds)?;
+        let frames = stage.spec.frames[..frames].to_vec();
+        let spec = JobSpec { owner: tempo.owner().into(), ..stage.of_frames(frames) };
+        let later = Duration::from_millis(rng.random_range(0..6_000));
+        let key = tempo.owner().to_owned();
+        anyhow::Ok((Errand { key, spec, stage, whim: Whim::Nothing, pauses: [Duration::ZERO; 2] }, later))
+    };
+    Ok(vec![errand(Tempo::Quick, 3, 3)?, errand(Tempo::Slow, 1, 2)?])
+}
+
+async fn comes_later(
+    errand: &Errand,
+    later: Duration,
+    seed: u64,
+    shared: &Shared,
+    shelf: &Shelf,
+) -> anyhow::Result<()> {
+    tokio::time::sleep(later).await;
+    live(std::slice::from_ref(errand), seed ^ u64::from(errand.stage.spec.rounds().len() as u32), shared, shelf).await
 }
 
 async fn live(errands: &[Errand], seed: u64, shared: &Shared, shelf: &Shelf) -> anyhow::Result<()> {

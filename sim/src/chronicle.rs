@@ -353,6 +353,11 @@ impl Chronicle {
         (incarnation > under || now.saturating_sub(since) > SLACK).then_some(Violation::Drained { instance })
     }
 
+    /// When an operator drained a worker's process, if it is drained.
+    pub(crate) fn drained_since(&self, instance: u64) -> Option<Duration> {
+        self.drained.get(&instance).map(|(_, since)| *since)
+    }
+
     /// Whether an answer is what the log said at some moment since `place`.
     pub(crate) fn agrees(&self, status: &JobStatus, place: Place) -> Option<Violation> {
         let job = status.job;

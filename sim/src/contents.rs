@@ -43,11 +43,17 @@ impl Patience {
     /// Longer than anything is on its way.
     const LONGEST: Duration = Duration::from_secs(25);
 
+    /// Longest time until what the log says is known everywhere.
+    pub(crate) fn longest(self) -> Duration {
+        self.0
+    }
+
     /// What may hold messages up from now on, or the coordinator.
     pub(crate) fn expect(&mut self, faults: impl Iterator<Item = Fault>) {
         for fault in faults {
             match fault {
                 Fault::WorkerDies(..)
+                | Fault::AloneAndSick(..)
                 | Fault::ArtifactHarmed(_)
                 | Fault::SceneHarmed(_)
                 | Fault::StoreFull(_)

@@ -104,6 +104,7 @@ impl State {
         self.leases.anew();
         self.chronicle.anew();
         self.shares.anew();
+        self.queues.anew();
         self.answers = Answers::default();
         self.accepted.clear();
         self.reported.clear();
@@ -225,6 +226,7 @@ impl Queue for Log {
                 let said = state.chronicle.take(tick, &fact, now, &state.answers.controls);
                 state.wrong.extend(leased.into_iter().chain(said));
                 fact_name(&fact).into_iter().for_each(|name| state.did(name));
+                state.queues.note_record(&fact, now);
                 state.shares.divide(&state.chronicle.payers_of_shared(), now);
                 match &fact {
                     Fact::Used { owners } => {

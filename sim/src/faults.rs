@@ -42,6 +42,8 @@ pub(crate) const COORDINATORS: usize = 2;
 pub enum Fault {
     /// A worker is killed, and started again later.
     WorkerDies(usize, Duration),
+    /// All workers but this one are killed, and on this one every task fails. Later the others are started again, and it is well.
+    AloneAndSick(usize, Duration),
     /// The leading coordinator is killed, and started again later.
     CoordinatorDies(Duration),
     /// The coordinator is killed in its n-th write from now on, before the batch is on the disk.
@@ -112,7 +114,19 @@ impl Planned {
             plan.faults.push((at, Fault::LogLost));
             plan.faults.sort_by_key(|&(at, _)| at);
         }
+        plan.add_sickness(seed);
         plan
+    }
+
+    /// In every fifth world one worker is alone for a while, and sick. Drawn apart, so that the other worlds stay as they are.
+    fn add_sickness(&mut self, seed: u64) {
+        let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_51c4);
+        if rng.random_range(0..5) > 0 {
+            return;
+        }
+        let [at, pause] = [500..6_000, 8_000..20_000].map(|range| Duration::from_millis(rng.random_range(range)));
+        self.faults.push((at, Fault::AloneAndSick(rng.random_range(0..WORKERS), pause)));
+        self.faults.sort_by_key(|&(at, _)| at);
     }
 
     /// The same for a world that goes on: its log is never lost.

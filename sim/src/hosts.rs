@@ -1,7 +1,6 @@
 //! Who lives in a world: coordinators of which one leads, the switch, and workers.
 
 use std::io;
-use std::num::NonZeroU64;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,12 +16,13 @@ use crate::audit::Violation;
 use crate::disk::{Log, SNAPSHOT};
 use crate::faults::{COORDINATORS, Hardship, WORKERS};
 use crate::network::{SWITCH, dial, listen, url};
+use crate::paces::{Paces, draw};
 use crate::people::Curse;
 use crate::shared::Shared;
 use crate::shelf::Shelf;
-use crate::stage::{self, CACHE};
+use crate::stage::CACHE;
 use crate::switch;
-use crate::tasks::{renders, samples};
+use crate::tasks::renders;
 
 /// Longest that a message takes when nothing is wrong.
 pub(crate) const LATENCY: Duration = Duration::from_millis(15);
@@ -35,6 +35,8 @@ pub(crate) fn settle(
     shelf: &Shelf,
     scheduler: &femc_schedule::Config,
 ) -> Sim<'static> {
+    let paces = Paces::new(seed, scheduler.grain);
+    shared.lock().queues.world = Some((paces, scheduler.clone()));
     let store = Store::over("shelf", Arc::new(shelf.clone()));
     let mut sim = turmoil::Builder::new()
         .simulation_duration(end)
@@ -53,8 +55,8 @@ pub(crate) fn settle(
         sim.host(SWITCH, move || switch::serve(shared.clone(), store.clone()));
     }
     for host in 0..WORKERS {
-        let (shared, scheduler, disk) = (shared.clone(), scheduler.clone(), WorkerDisk::default());
-        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), scheduler.grain, disk.clone()));
+        let (shared, disk) = (shared.clone(), WorkerDisk::default());
+        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), paces, disk.clone()));
     }
     sim
 }
@@ -152,8 +154,7 @@ fn is_full(error: &CoordinatorError) -> bool {
     matches!(error, CoordinatorError::Queue(QueueError::Medium(error)) if error.kind() == io::ErrorKind::StorageFull)
 }
 
-/// `grain`: pixel samples of a grain, as the farm has them.
-async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64, disk: WorkerDisk) -> turmoil::Result {
+async fn worker(seed: u64, host: usize, shared: Shared, paces: Paces, disk: WorkerDisk) -> turmoil::Result {
     disk.boots(&shared);
     let boot = {
         let mut state = shared.lock();
@@ -173,7 +174,12 @@ async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64, disk:
         engine: build(seed, boot).into(),
         dial: dial(&shared, &worker_name(host)),
         hands: Hands::Simulated(Pace::fated(move |assignment| {
-            (pace(seed, grain, assignment), fate(seed, host, &fates, assignment))
+            let time = {
+                let mut state = fates.lock();
+                state.queues.note_begun(assignment.task, assignment.epoch);
+                paces.time(assignment, state.chronicle.spec(assignment.task.job))
+            };
+            (time, fate(seed, host, &fates, assignment))
         })),
         ..femc_worker::Config::new(url(SWITCH))
     };
@@ -185,18 +191,6 @@ fn build(seed: u64, boot: u64) -> &'static str {
     if seed.is_multiple_of(4) && boot > WORKERS as u64 { "new" } else { "old" }
 }
 
-/// From a fifth of a second to three seconds; where tiles are cut into grains of a sample a pixel, from a twentieth to a half a
-/// sample.
-fn pace(seed: u64, grain: NonZeroU64, assignment: &Assignment) -> Duration {
-    let draw = draw(&format!("{seed} {} {}", assignment.task, assignment.epoch.0));
-    let between = |least: u64, most: u64| Duration::from_millis(least + draw * (most - least) / 65_536);
-    match renders(assignment) {
-        true if grain == stage::cut().grain => between(50, 500) * samples(assignment),
-        true => between(200, 3_000),
-        false => between(200, 1_000),
-    }
-}
-
 /// What becomes of a task, as the curse of its job has it.
 fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fate {
     /// Of a hundred tasks of a job in which some fail.
@@ -204,6 +198,9 @@ fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fat
     /// The same of the first of what jobs share: so that it is put aside now and then.
     const OFTEN_SHARED: u64 = 60;
     let TaskKey { job, stage, .. } = assignment.task;
+    if shared.lock().sick == Some(host) {
+        return Fate::Panics;
+    }
     let (curse, first) = match shared.lock().chronicle.spec(job) {
         Some(spec) => (Curse::of(spec), spec.frames.first().copied()),
         None => return Fate::Done,
@@ -224,10 +221,4 @@ fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fat
         }
         Curse::NowAndThen | Curse::Always | Curse::Deadly => Fate::Done,
     }
-}
-
-/// A number below 65536.
-fn draw(name: &str) -> u64 {
-    let hash = blake3::hash(name.as_bytes());
-    u64::from(u16::from_le_bytes([hash.as_bytes()[0], hash.as_bytes()[1]]))
 }

@@ -54,6 +54,8 @@ struct Sum {
     stale_messages: u64,
     fired: BTreeMap<String, u64>,
     counts: BTreeMap<String, u64>,
+    /// Worlds in which each of these faults and deeds came about.
+    worlds: BTreeMap<String, u64>,
 }
 
 impl Sum {
@@ -67,6 +69,9 @@ impl Sum {
         }
         for (what, times) in other.counts {
             *self.counts.entry(what).or_default() += times;
+        }
+        for (what, worlds) in other.worlds {
+            *self.worlds.entry(what).or_default() += worlds;
         }
     }
 }
@@ -93,7 +98,9 @@ fn main() -> anyhow::Result<ExitCode> {
             begun.elapsed().as_secs_f64(),
             sum.stale_messages
         );
-        sum.fired.iter().chain(&sum.counts).for_each(|(what, times)| println!("  {times:6} {what}"));
+        let of_worlds = |what: &String| sum.worlds.get(what).copied().unwrap_or(0);
+        let all = sum.fired.iter().chain(&sum.counts);
+        all.for_each(|(what, times)| println!("  {times:6} in {:4} worlds: {what}", of_worlds(what)));
     }
     Ok(if sum.wrong.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -113,6 +120,8 @@ fn here(args: &Args) -> anyhow::Result<Sum> {
         if !wrong.is_empty() {
             sum.wrong.insert(seed, wrong);
         }
+        let all = outcome.fired.keys().chain(outcome.counts.keys());
+        let worlds = all.map(|&what| (what.to_owned(), 1)).collect();
         let fired = outcome.fired.into_iter().map(|(fault, times)| (fault.to_owned(), u64::from(times))).collect();
         sum.add(Sum {
             seeds: 1,
@@ -121,6 +130,7 @@ fn here(args: &Args) -> anyhow::Result<Sum> {
             stale_messages: outcome.stale,
             fired,
             counts: outcome.counts.into_iter().map(|(what, times)| (what.to_owned(), times)).collect(),
+            worlds,
         });
     }
     Ok(sum)

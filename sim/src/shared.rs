@@ -15,6 +15,7 @@ use crate::faults::COORDINATORS;
 use crate::leases::Leases;
 use crate::network::Reach;
 use crate::promises::Answers;
+use crate::queues::Queues;
 use crate::shares::Shares;
 
 /// A crash of the writing coordinator at a chosen write.
@@ -94,6 +95,10 @@ pub(crate) struct State {
     pub(crate) stale: u64,
     /// What owners are charged.
     pub(crate) shares: Shares,
+    /// What waits at workers.
+    pub(crate) queues: Queues,
+    /// A worker on which all tasks fail, while the others are dead.
+    pub(crate) sick: Option<usize>,
     /// The process of each worker that was started last.
     pub(crate) lives: BTreeMap<usize, u64>,
     /// Workers that a task has just killed.
@@ -139,6 +144,8 @@ impl Shared {
             left: 0,
             stale: 0,
             shares: Shares::default(),
+            queues: Queues::default(),
+            sick: None,
             lives: BTreeMap::new(),
             struck: Vec::new(),
             trace: blake3::Hasher::new(),

@@ -108,6 +108,7 @@ impl Shares {
             match fault {
                 // These are at the workers' end, as is the switch: what the coordinator does about them is seen.
                 Fault::WorkerDies(..) | Fault::WorkerCut(..) | Fault::WorkerMute(..) => self.unseen += Self::LEASE,
+                Fault::AloneAndSick(..) => self.unseen += Self::LEASE * WORKERS as u32,
                 Fault::WorkerFreezes(_, pause) => self.unseen += Self::LEASE + pause,
                 Fault::ArtifactHarmed(_)
                 | Fault::SceneHarmed(_)

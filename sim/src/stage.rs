@@ -165,16 +165,40 @@ pub(crate) fn schedule(number: u64) -> Config {
     if number % 4 < 2 { whole() } else { cut() }
 }
 
+/// Settings of a farm whose workers hold as many tasks as the real ones do, with tiles that are not cut.
+pub(crate) fn paced() -> Config {
+    Config { ahead: Config::default().ahead, ..whole() }
+}
+
 /// A job that shares no artifact but its scene with any of another number.
 pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
     Ok(stage(ROUNDS[(number % 4) as usize], number)?.grouped(FANS[(number / 4 % 4) as usize]))
+}
+
+/// Jobs of many tiles of one size: in one round, and in several.
+static EVEN: LazyLock<Result<[Stage; 2], String>> = LazyLock::new(|| {
+    const EDGE: u32 = 4;
+    let even = |rounds: &[u32]| tiled(SCENE, (Method::Pt, 1), rounds, 0, EDGE).map_err(|error| format!("{error:#}"));
+    Ok([even(ROUNDS[0])?, even(ROUNDS[1])?])
+});
+
+/// A job of 12 tiles per frame, all of one size; or of 36, in three rounds.
+/// - `rounds`: 1 or 3.
+pub(crate) fn even(rounds: usize) -> anyhow::Result<Stage> {
+    let [one, several] = EVEN.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
+    Ok(if rounds == 1 { one.clone() } else { several.clone() })
 }
 
 fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
     rendered(SCENE, (Method::Pt, 1), rounds, seed)
 }
 
-fn rendered(scene: &str, (method, blocks): (Method, u32), rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
+fn rendered(scene: &str, light: (Method, u32), rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
+    tiled(scene, light, rounds, seed, TILE)
+}
+
+/// - `edge`: of a tile, in pixels.
+fn tiled(scene: &str, (method, blocks): (Method, u32), rounds: &[u32], seed: u64, edge: u32) -> anyhow::Result<Stage> {
     // An error that is never reached: every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
     // Light of elements has come any number of ways.
@@ -191,7 +215,7 @@ fn rendered(scene: &str, (method, blocks): (Method, u32), rounds: &[u32], seed: 
             contents.push((FRAMES.len() as u32, Digest::from_bytes(key)));
         }
         let prepared = femc_pipeline::prepare(&source, &settings, number, None)?;
-        let tiling = Tiling::new(FILM[0], FILM[1], TILE)?;
+        let tiling = Tiling::new(FILM[0], FILM[1], edge)?;
         let mut frame = Frame::new(tiling);
         for rect in tiling.rects() {
             let (cancel, samples) = (AtomicBool::new(false), AtomicU64::new(0));
@@ -202,14 +226,14 @@ fn rendered(scene: &str, (method, blocks): (Method, u32), rounds: &[u32], seed: 
     }
     contents.dedup();
     let bytes = bundle.encode()?;
-    let stages = femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], TILE)?, rounds, FANS[0], method);
+    let stages = femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], edge)?, rounds, FANS[0], method);
     let spec = JobSpec {
         name: "haze".into(),
         bundle: Digest::of(&bytes),
         entry: "haze.mgf".into(),
         settings: serde_json::to_string(&settings)?,
         frames: FRAMES.to_vec(),
-        grid: Grid { film: FILM, tile: TILE },
+        grid: Grid { film: FILM, tile: edge },
         graph: graph(&femc_pipeline::in_blocks(stages, method, blocks)),
         contents,
         priority: 50,

@@ -50,7 +50,13 @@ async fn relay(session: Session, shared: Shared) {
     shared.note(|| format!("{name} joins {leader} with {:?}", registration.held));
     let held = registration.held.iter().map(|held| (held.task, held.epoch));
     let mut running: BTreeSet<(Epoch, TaskKey)> = held.clone().map(|(task, epoch)| (epoch, task)).collect();
-    let number = shared.lock().leases.joined(&engine, held);
+    let number = {
+        let mut state = shared.lock();
+        let number = state.leases.joined(&engine, held);
+        let host = name.trim_start_matches('w').parse().unwrap_or_default();
+        state.queues.joined(number, [host, instance], &engine, running.iter().copied());
+        number
+    };
     let mut stray = shared.lock().stray(&registration);
     registration.held.extend(stray.clone());
     let session = async {
@@ -58,12 +64,19 @@ async fn relay(session: Session, shared: Shared) {
         client.session(registration).await
     };
     // A host that is dead says nothing, for ever.
-    let Ok(Ok((up, mut down))) = tokio::time::timeout(GIVE_UP, session).await else { return };
+    let Ok(Ok((up, mut down))) = tokio::time::timeout(GIVE_UP, session).await else {
+        return shared.lock().queues.left(number);
+    };
     let joined = now();
     let upwards = async {
         while let Some(Ok(mut message)) = messages.next().await {
             shared.lock().misstate(&mut message);
             shared.note(|| format!("{name} > {message:?}"));
+            {
+                let mut state = shared.lock();
+                let kept = state.note_message(number, &message, now());
+                state.wrong.extend(kept);
+            }
             match &message {
                 FromWorker::Completed { task, epoch, .. } => drop(shared.lock().reported.insert((*task, *epoch))),
                 FromWorker::Failed { task, epoch, .. } => {
@@ -92,11 +105,15 @@ async fn relay(session: Session, shared: Shared) {
                     let aside = state.chronicle.may_lease(lease.task, lease.epoch);
                     let unserved = state.chronicle.may_read(&engine, lease, incarnation, now());
                     state.wrong.extend(leased.into_iter().chain(drained).chain(aside).chain(unserved));
+                    let queued = state.judge_lease(number, lease, now());
+                    state.wrong.extend(queued);
                     running.insert((lease.epoch, lease.task));
                 }
                 ToWorker::Revoke { task, epoch, .. } => {
                     running.remove(&(*epoch, *task));
-                    shared.lock().leases.revoked(number, *task, *epoch);
+                    let mut state = shared.lock();
+                    state.leases.revoked(number, *task, *epoch);
+                    state.queues.note_end(number, *task, *epoch);
                 }
                 ToWorker::Renewed { leases, .. } => {
                     let is_held =
@@ -107,11 +124,14 @@ async fn relay(session: Session, shared: Shared) {
                 }
                 ToWorker::Accepted { task, epoch } => {
                     running.remove(&(*epoch, *task));
-                    shared.lock().accepted.insert((*task, *epoch));
+                    let mut state = shared.lock();
+                    state.accepted.insert((*task, *epoch));
+                    state.note_accepted(number, *task, *epoch, now());
                 }
                 ToWorker::Refused { task, epoch, refusal } => {
                     // Each lease that ends is told, and what comes after that is a repetition.
                     let ran = running.remove(&(*epoch, *task));
+                    shared.lock().queues.note_end(number, *task, *epoch);
                     if ran && *refusal == Refusal::StaleEpoch {
                         shared.lock().wrong.push(Violation::Silent { task: *task, epoch: *epoch });
                     }
@@ -130,6 +150,7 @@ async fn relay(session: Session, shared: Shared) {
         () = upwards => {}
     }
     shared.lock().turns(number, &BTreeSet::new(), joined);
+    shared.lock().queues.left(number);
     shared.note(|| format!("{name} is cut off"));
 }
 

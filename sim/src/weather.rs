@@ -45,6 +45,7 @@ impl Weather {
             let faults = || plan.faults.iter().map(|&(_, fault)| fault);
             state.shares.expect(faults());
             state.chronicle.contents.patience.expect(faults());
+            state.queues.expect(faults());
         }
         plan.faults.iter().for_each(|&(at, fault)| self.plan(now + at, Act::Begin(fault)));
         self.plan(now + STORM, Act::Peace);
@@ -96,6 +97,14 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
     match fault {
         Fault::WorkerDies(host, pause) => {
             die(sim, shared, worker_name(host), now).then(|| fired("worker died"));
+            Some(pause)
+        }
+        Fault::AloneAndSick(host, pause) => {
+            for other in (0..WORKERS).filter(|&other| other != host) {
+                die(sim, shared, worker_name(other), now);
+            }
+            shared.lock().sick = Some(host);
+            fired("lone worker sick");
             Some(pause)
         }
         Fault::CoordinatorDies(pause) => {
@@ -213,6 +222,10 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
 fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
     match fault {
         Fault::WorkerDies(host, _) => start(sim, worker_name(host)),
+        Fault::AloneAndSick(..) => {
+            shared.lock().sick = None;
+            (0..WORKERS).for_each(|host| start(sim, worker_name(host)));
+        }
         Fault::CoordinatorDies(_) | Fault::LogLost => {
             (0..COORDINATORS).for_each(|host| start(sim, coordinator_name(host)));
         }
@@ -252,7 +265,7 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     shelf.trouble(|troubles| *troubles = Troubles::default());
     let mut state = shared.lock();
     state.clocks.iter_mut().for_each(|clock| clock.drift = 0);
-    (state.trap, state.disk.full) = (None, 0);
+    (state.trap, state.disk.full, state.sick) = (None, 0, None);
     (state.twice, state.late, state.misstated, state.strays) = (0, 0, 0, 0);
 }
 

@@ -67,6 +67,11 @@ impl Fetch {
         Self { pool, ..self.clone() }
     }
 
+    /// Threads that prepare frames.
+    pub(crate) fn pool(&self) -> &Arc<ThreadPool> {
+        &self.pool
+    }
+
     /// The same for one task.
     pub(crate) fn of(&self, task: &Arc<Task>) -> Self {
         Self { task: Some(task.clone()), ..self.clone() }

@@ -1,8 +1,8 @@
 //! A farm machine: joins a coordinator, renders tiles, puts frames together.
 //!
-//! Talking is asynchronous; work is not. Two lanes take tasks, one renders and one joins what is there, and both compute on the
-//! worker's own rayon pool; a thread prepares the frames of tasks that were fetched ahead. Each of these three prepares scenes and
-//! frames on a pool of its own, with as many threads, and rayon's global pool is never started. Results go up while the next
+//! Talking is asynchronous; work is not. Two lanes take tasks, one renders and one joins what is there; a thread prepares the frames of
+//! tasks that were fetched ahead. Each of these three prepares scenes and frames on a rayon pool of its own. Rendering has one more pool.
+//! All have as many threads, and rayon's global pool is never started. Results go up while the next
 //! task runs. When the session breaks, what runs goes on, and what is done is kept: the next session brings both along.
 #![deny(missing_docs)]
 

@@ -1,5 +1,5 @@
-//! What tasks take. Processor time is the process's: reading a scene, building its trees, rendering on a pool that two lanes
-//! share, encoding, hashing and sending happen on many threads, and no thread's clock says which task it worked for.
+//! What tasks take. Processor time is the process's: reading a scene, building its trees, rendering on a pool,
+//! encoding, hashing and sending happen on many threads, and no thread's clock says which task it worked for.
 //!
 //! So the process's clock is read whenever a task begins or ends, or begins or ends to wait for the network, and what has passed
 //! since the last reading is shared evenly among the tasks that compute; where none does, among those that move bytes; where

@@ -1,5 +1,6 @@
-//! The threads that work: one lane computes, one joins, one thread prepares ahead. Both lanes render on one pool, and each of these
-//! threads prepares scenes and frames on a pool of its own.
+//! The threads that work: one lane computes, one joins, one thread prepares ahead. Each of these threads prepares scenes and frames on a
+//! pool of its own. Tasks that join compute on that pool, too: on the pool that renders, a finished frame's image would wait for the
+//! render tasks of others. That costs more threads than processors for the moments that joining takes.
 //!
 //! A lane is two threads: one that does a task, the hand, and one that waits for it. Rendering notices a cancellation within
 //! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, whose thread runs on
@@ -40,7 +41,7 @@ pub(crate) fn start(
 ) -> Result<mpsc::Sender<Ahead>, WorkerError> {
     for lane in Lane::ALL {
         let (table, finish, name) = (table.clone(), finish.clone(), format!("{name} {}", lane.name()));
-        let mut runner = Runner::new(name.clone(), tools.clone())?;
+        let mut runner = Runner::new(name.clone(), lane, tools.clone())?;
         spawn(name, move || {
             while let Some(task) = table.take(lane) {
                 if let Some(outcome) = runner.work(&task) {
@@ -68,6 +69,7 @@ pub(crate) fn start(
 /// Does the tasks of a lane, one after the other.
 struct Runner {
     name: String,
+    lane: Lane,
     tools: Tools,
     hand: Hand,
     /// Hands whose tasks were cancelled and go on all the same.
@@ -89,8 +91,8 @@ impl Runner {
     /// Most hands that are left behind at a time.
     const MOST: usize = 3;
 
-    fn new(name: String, tools: Tools) -> Result<Self, WorkerError> {
-        Ok(Self { hand: Hand::new(&name, &tools)?, name, tools, left_behind: Vec::new() })
+    fn new(name: String, lane: Lane, tools: Tools) -> Result<Self, WorkerError> {
+        Ok(Self { hand: Hand::new(&name, lane, &tools)?, name, lane, tools, left_behind: Vec::new() })
     }
 
     /// Does the task; `None` if it was cancelled and does not end.
@@ -131,7 +133,7 @@ impl Runner {
 
     /// Whether there is a new hand; without one the lane keeps the old.
     fn replace_hand(&mut self) -> bool {
-        match Hand::new(&self.name, &self.tools) {
+        match Hand::new(&self.name, self.lane, &self.tools) {
             Ok(hand) => {
                 self.left_behind.push(std::mem::replace(&mut self.hand, hand).thread);
                 true
@@ -146,10 +148,10 @@ impl Runner {
 
 impl Hand {
     /// A thread that ends when it is dropped and its task is done.
-    fn new(name: &str, tools: &Tools) -> Result<Self, WorkerError> {
+    fn new(name: &str, lane: Lane, tools: &Tools) -> Result<Self, WorkerError> {
         let (tasks, line) = mpsc::channel::<Arc<Task>>();
         let (done, outcomes) = mpsc::channel();
-        let tools = tools.preparing_alone(name)?;
+        let tools = tools.preparing_alone(name)?.computing_in(lane);
         let thread = spawn(format!("{name} hand"), move || {
             tools.nice.apply();
             for task in line {
@@ -170,6 +172,14 @@ impl Tools {
     fn preparing_alone(&self, name: &str) -> Result<Self, WorkerError> {
         let pool = pool(format!("{name} prepare"), self.pool.current_num_threads(), self.nice)?;
         Ok(Self { fetch: self.fetch.with_pool(pool), ..self.clone() })
+    }
+
+    /// The same tools with the pool on which the tasks of a lane compute.
+    fn computing_in(self, lane: Lane) -> Self {
+        match lane {
+            Lane::Compute => self,
+            Lane::Join => Self { pool: self.fetch.pool().clone(), ..self },
+        }
     }
 }
 

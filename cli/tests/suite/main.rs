@@ -29,6 +29,7 @@ mod openjd;
 mod otel;
 mod paths;
 mod python;
+mod queues;
 mod real_files;
 mod render;
 mod room;

@@ -6,6 +6,8 @@
 //!
 //! `FEMC_DEADLY=TASK` makes a worker die whenever it begins this task.
 //!
+//! `FEMC_SICK=yes` makes every task of a worker panic.
+//!
 //! `FEMC_PRETEND=protocol=3,engine=another` makes a worker say that it is of another version, `FEMC_PRETEND=fan=3` a client that
 //! a frame's tiles are reduced in threes: see [`pretended`].
 //!
@@ -57,6 +59,15 @@ pub fn dies_of(task: &impl fmt::Display) {
     static ASKED: LazyLock<Option<String>> = LazyLock::new(|| std::env::var("FEMC_DEADLY").ok());
     if cfg!(debug_assertions) && ASKED.as_ref().is_some_and(|deadly| *deadly == task.to_string()) {
         std::process::abort();
+    }
+}
+
+/// A task begins: it panics on a worker that was asked to be sick.
+pub fn panics_if_sick() {
+    /// Read at the first task.
+    static ASKED: LazyLock<bool> = LazyLock::new(|| std::env::var_os("FEMC_SICK").is_some());
+    if cfg!(debug_assertions) && *ASKED {
+        panic!("every task fails on this worker, as FEMC_SICK asks");
     }
 }
 

@@ -83,6 +83,7 @@ fn close(state: &mut State, last: JobId) -> Vec<Violation> {
     state.leases.forget_until(last);
     state.chronicle.forget_until(last);
     state.answers.forget_until(last);
+    state.queues.forget_until(last);
     wrong
 }
 

@@ -14,10 +14,14 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
     assert!(outcome.seconds < 60.0, "it is quick: {} s", outcome.seconds);
 
     let mut fired: BTreeMap<&str, u32> = BTreeMap::new();
+    // Worlds in which each deed came about.
+    let mut deeds: BTreeMap<&str, u32> = BTreeMap::new();
     let (mut wrong, mut shared) = (Vec::new(), 0);
-    for seed in 1000..1008 {
+    // In the last one a worker is alone and sick.
+    for seed in (1000..1008).chain([1010]) {
         let outcome = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
         outcome.fired.iter().for_each(|(fault, times)| *fired.entry(fault).or_default() += times);
+        outcome.counts.keys().for_each(|deed| *deeds.entry(deed).or_default() += 1);
         shared += outcome.counts.get("shared stages begun").copied().unwrap_or(0);
         wrong.extend(outcome.violations.into_iter().map(|violation| (seed, violation)));
         if seed == 1003 {
@@ -27,6 +31,17 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
     assert!(shared > 2, "jobs share stages in some worlds: {shared}");
+    let queues = [
+        ("leases behind one task that waits", 3),
+        ("leases of short tasks behind several that wait", 2),
+        ("joins beside waiting tasks of another owner", 2),
+        ("pauses of lone sick workers", 1),
+        ("tasks given back by drained workers", 2),
+    ];
+    for (deed, least) in queues {
+        let worlds = deeds.get(deed).copied().unwrap_or(0);
+        assert!(worlds >= least, "{deed}: in {worlds} worlds of {least} at least");
+    }
 
     let soak = Soak { seed: 1, time: Duration::from_secs(120), tells: Tells::Outcome };
     let [first, again] = [(); 2].map(|()| soak.run(|_| {}).unwrap());

@@ -22,7 +22,7 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use femc_fault::{Point, dies_of, pass};
+use femc_fault::{Point, dies_of, panics_if_sick, pass};
 use femc_model::{Artifact, Failure, Output, Role, Stage, StageKind, TaskResult, Template};
 use rayon::ThreadPool;
 use tracing::Span;
@@ -100,15 +100,18 @@ pub(crate) fn execute(task: &Arc<Task>, tools: &Tools) -> Result<Product, Failur
 
 fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let stage = stage(task)?;
-    let work = || match stage.kind {
-        StageKind::Render => render::render(task, stage, tools),
-        StageKind::Reduce => reduce::reduce(task, stage, tools),
-        StageKind::Image => image::image(task, stage, tools),
-        StageKind::Drill => drill::drill(task, stage, tools),
-        StageKind::Decide => decide::decide(task, stage, tools),
-        StageKind::Encode => encode::encode(task, stage, tools),
-        StageKind::Paint => paint::paint(task, stage, tools),
-        StageKind::FirstPass | StageKind::FirstPassBlock => first_pass::first_pass(task, stage, tools),
+    let work = || {
+        panics_if_sick();
+        match stage.kind {
+            StageKind::Render => render::render(task, stage, tools),
+            StageKind::Reduce => reduce::reduce(task, stage, tools),
+            StageKind::Image => image::image(task, stage, tools),
+            StageKind::Drill => drill::drill(task, stage, tools),
+            StageKind::Decide => decide::decide(task, stage, tools),
+            StageKind::Encode => encode::encode(task, stage, tools),
+            StageKind::Paint => paint::paint(task, stage, tools),
+            StageKind::FirstPass | StageKind::FirstPassBlock => first_pass::first_pass(task, stage, tools),
+        }
     };
     let measured = tools.memory.begin(stage.kind, &tools.cache)?;
     let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))

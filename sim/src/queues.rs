@@ -1,0 +1,427 @@
+//! Promises about the queues of workers. The messages between coordinators and workers are checked against them.
+//!
+//! Depth: the tasks that wait at a worker take little time, by the pace of their own job and stage. Back-off: a worker on which the tasks
+//! of a job fail pauses, each time for twice as long. Order: no worker is leased a task that computes while it could join what is
+//! finished. Drain: a drained worker keeps no task that it has not begun.
+//!
+//! The checks use the durations that the simulation has drawn. They never ask the scheduler.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+use femc_model::{Assignment, Epoch, Failure, FromWorker, JobId, Lane, Phase, TaskKey};
+use femc_schedule::{Config, Fact};
+
+use crate::audit::Violation;
+use crate::faults::Fault;
+use crate::leases::SessionNumber;
+use crate::paces::Paces;
+use crate::shared::State;
+use crate::tasks::job_of;
+
+/// Bits of an epoch that count the leases of one incarnation.
+const LEASE_BITS: u32 = 40;
+/// Failures of different tasks, none done in between, after which a worker pauses.
+const FAILURES: usize = 3;
+/// Expected duration of a task while no task of its stage is done, in milliseconds.
+const FIRST: u64 = 1_000;
+/// Time for which grants are kept.
+const MEMORY: Duration = Duration::from_secs(60);
+
+type LeaseKey = (Epoch, TaskKey);
+
+fn incarnation(epoch: Epoch) -> u32 {
+    (epoch.0 >> LEASE_BITS) as u32
+}
+
+fn lane(task: &TaskKey) -> Lane {
+    task.stage.kind.row().lane
+}
+
+/// A lease that a worker holds.
+#[derive(Debug, Clone, Copy)]
+struct Held {
+    /// Shortest time that its coordinator can expect of it, in milliseconds.
+    least: u64,
+    /// Its worker was to pause before it.
+    is_probe: bool,
+    /// Its worker has reported that it is computed.
+    is_computed: bool,
+    /// Time at which its worker reported that it panicked.
+    panicked: Option<Duration>,
+}
+
+impl Held {
+    /// A lease of an earlier session.
+    const BROUGHT: Self = Self { least: 0, is_probe: false, is_computed: false, panicked: None };
+}
+
+/// Failures of one job on one worker with no task done in between.
+#[derive(Debug, Default)]
+struct Streak {
+    tasks: BTreeSet<TaskKey>,
+    /// Time of the failure with which the first pause begins.
+    pauses: Option<Duration>,
+    /// Failed leases that were granted after that.
+    probes: u32,
+}
+
+impl Streak {
+    /// Counts a failure. Returns whether the first pause begins with it.
+    fn failed(&mut self, task: TaskKey, is_probe: bool, at: Duration) -> bool {
+        self.tasks.insert(task);
+        if self.pauses.is_some() {
+            self.probes += u32::from(is_probe);
+            return false;
+        }
+        if self.tasks.len() >= FAILURES {
+            self.pauses = Some(at);
+        }
+        self.pauses.is_some()
+    }
+
+    /// End of the latest pause: no task is leased before. Each pause is twice as long as the one before it.
+    fn ends(&self, limits: &Config) -> Option<Duration> {
+        let pause = |number: u32| limits.rest.saturating_mul(1 << number.min(20)).min(limits.longest_rest);
+        let pauses: u64 = (0..=self.probes).map(pause).sum();
+        self.pauses.map(|begun| begun + Duration::from_millis(pauses))
+    }
+}
+
+/// A worker's session.
+#[derive(Debug)]
+struct WorkerSession {
+    host: usize,
+    instance: u64,
+    engine: String,
+    held: BTreeMap<LeaseKey, Held>,
+    streaks: BTreeMap<JobId, Streak>,
+}
+
+impl WorkerSession {
+    fn held_in(&self, wanted: Lane) -> impl DoubleEndedIterator<Item = (&LeaseKey, &Held)> {
+        self.held.iter().filter(move |((_, task), _)| lane(task) == wanted)
+    }
+
+    /// Tasks that compute and wait behind the one that runs. A worker computes one task after the other, in the order of their leases:
+    /// when one has begun, all before it are computed.
+    fn waiting<'a>(&'a self, begun: &'a BTreeSet<LeaseKey>) -> impl Iterator<Item = (&'a LeaseKey, &'a Held)> {
+        let last = self.held_in(Lane::Compute).map(|(key, _)| *key).rfind(|key| begun.contains(key));
+        let unfinished = self
+            .held_in(Lane::Compute)
+            .filter(move |(key, held)| !held.is_computed && last.is_none_or(|last| **key >= last));
+        unfinished.skip(1)
+    }
+}
+
+/// A lease of a task that computes, at the time when it was granted.
+#[derive(Debug)]
+struct Grant {
+    at: Duration,
+    key: LeaseKey,
+    instance: u64,
+    engine: String,
+    /// Number of tasks that join and that the worker held.
+    joins: usize,
+}
+
+/// The queues of all workers, by the messages of their sessions.
+#[derive(Debug, Default)]
+pub(crate) struct Queues {
+    /// Durations of tasks, and the farm's settings.
+    pub(crate) world: Option<(Paces, Config)>,
+    /// The coordinators' clocks may be wrong.
+    is_untimed: bool,
+    workers: BTreeMap<SessionNumber, WorkerSession>,
+    /// Leases whose computation has begun.
+    begun: BTreeSet<LeaseKey>,
+    /// Stages of jobs of which a coordinator knows a task that is done, and the time of that result.
+    known: BTreeMap<(u32, JobId, u16), Duration>,
+    /// Stages of jobs whose leases outlived a session. A coordinator may expect too little time of their tasks.
+    blurred: BTreeSet<(JobId, u16)>,
+    /// Jobs whose tasks failed on a worker, with its process.
+    troubled: BTreeSet<(JobId, u64)>,
+    /// Tasks that have been leased.
+    leased: BTreeSet<TaskKey>,
+    /// Time of the latest record about a frame of a job.
+    frames: BTreeMap<(JobId, u32), Duration>,
+    /// Time of the latest record about a job that is not about one of its frames.
+    jobs: BTreeMap<JobId, Duration>,
+    /// Latest leases that compute, oldest first.
+    grants: VecDeque<Grant>,
+}
+
+impl Queues {
+    /// Prepares for the faults of a plan.
+    pub(crate) fn expect(&mut self, mut faults: impl Iterator<Item = Fault>) {
+        let is_clock = |fault| matches!(fault, Fault::ClockJumps(..) | Fault::ClockDrifts(..));
+        self.is_untimed |= faults.any(is_clock);
+    }
+
+    /// Forgets the jobs of a log that is lost.
+    pub(crate) fn anew(&mut self) {
+        self.known.clear();
+        self.blurred.clear();
+        self.troubled.clear();
+        self.leased.clear();
+        self.frames.clear();
+        self.jobs.clear();
+        self.grants.clear();
+        self.workers.values_mut().for_each(|worker| worker.streaks.clear());
+    }
+
+    /// Forgets this job and those before it.
+    pub(crate) fn forget_until(&mut self, last: JobId) {
+        self.begun.retain(|(_, task)| task.job > last);
+        self.known.retain(|(_, job, _), _| *job > last);
+        self.blurred.retain(|(job, _)| *job > last);
+        self.troubled.retain(|(job, _)| *job > last);
+        self.leased.retain(|task| task.job > last);
+        self.frames.retain(|(job, _), _| *job > last);
+        self.jobs.retain(|job, _| *job > last);
+    }
+
+    /// Notes the begin of a session.
+    /// - `host`, `instance`: number of the worker's host, and its process.
+    /// - `brought`: leases of an earlier session.
+    pub(crate) fn joined(
+        &mut self,
+        session: SessionNumber,
+        [host, instance]: [u64; 2],
+        engine: &str,
+        brought: impl Iterator<Item = LeaseKey>,
+    ) {
+        let held: BTreeMap<LeaseKey, Held> = brought.map(|key| (key, Held::BROUGHT)).collect();
+        self.blurred.extend(held.keys().map(|(_, task)| (task.job, task.stage.number)));
+        let engine = engine.to_owned();
+        let worker = WorkerSession { host: host as usize, instance, engine, held, streaks: BTreeMap::new() };
+        self.workers.insert(session, worker);
+    }
+
+    /// Notes the end of a session.
+    pub(crate) fn left(&mut self, session: SessionNumber) {
+        self.workers.remove(&session);
+    }
+
+    /// Notes that a worker begins to compute a task.
+    pub(crate) fn note_begun(&mut self, task: TaskKey, epoch: Epoch) {
+        self.begun.insert((epoch, task));
+    }
+
+    /// Notes the time of a record of the log.
+    pub(crate) fn note_record(&mut self, fact: &Fact, now: Duration) {
+        let frame = match fact {
+            Fact::Done { task, .. } | Fact::Failed { task, .. } | Fact::Died { task, .. } | Fact::Lost { task } => {
+                Some((task.job, task.stage.frame))
+            }
+            Fact::Restarted { job, frame } | Fact::Built { job, frame, .. } => Some((*job, *frame)),
+            _ => None,
+        };
+        match (frame, job_of(fact)) {
+            (Some(frame), _) => drop(self.frames.insert(frame, now)),
+            (None, Some(job)) => drop(self.jobs.insert(job, now)),
+            (None, None) => {}
+        }
+    }
+
+    /// Notes that a lease of a session has ended.
+    pub(crate) fn note_end(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch) {
+        if let Some(worker) = self.workers.get_mut(&session) {
+            worker.held.remove(&(epoch, task));
+        }
+    }
+}
+
+impl State {
+    /// Notes a message of a worker. A heartbeat of a drained worker that still has tasks waiting breaks a promise: workers send two
+    /// heartbeats a second, and the answer to the first one after the drain tells the worker to give its waiting tasks back.
+    pub(crate) fn note_message(
+        &mut self,
+        session: SessionNumber,
+        message: &FromWorker,
+        now: Duration,
+    ) -> Option<Violation> {
+        let Self { queues, chronicle, late, .. } = self;
+        let worker = queues.workers.get_mut(&session)?;
+        match message {
+            FromWorker::Heartbeat { tasks, .. } => {
+                for progress in tasks.iter().filter(|progress| progress.phase == Phase::Uploading) {
+                    if let Some(held) = worker.held.get_mut(&(progress.epoch, progress.task)) {
+                        held.is_computed = true;
+                    }
+                }
+                let since = chronicle.drained_since(worker.instance)?;
+                /// More time where messages of workers may be late, so that several heartbeats in a row are.
+                const LATE: Duration = Duration::from_secs(20);
+                let slack = if *late > 0 { LATE } else { Duration::ZERO } + chronicle.contents.patience.longest();
+                let waits = tasks.iter().find(|progress| progress.phase == Phase::Waiting)?;
+                let milliseconds = now.saturating_sub(since).as_millis() as u64;
+                let kept = Violation::Kept { instance: worker.instance, task: waits.task, milliseconds, at: now };
+                (now.saturating_sub(since) > slack).then_some(kept)
+            }
+            FromWorker::Completed { task, .. } => {
+                worker.streaks.remove(&task.job);
+                None
+            }
+            FromWorker::Failed { task, epoch, failure, .. } => {
+                let is_given_back = *failure == Failure::Cancelled;
+                if let Some(held) = worker.held.get_mut(&(*epoch, *task)) {
+                    held.is_computed = true;
+                    held.panicked = matches!(failure, Failure::Panicked { .. }).then_some(now);
+                }
+                if !is_given_back {
+                    queues.troubled.insert((task.job, worker.instance));
+                } else if chronicle.drained_since(worker.instance).is_some() {
+                    self.did("tasks given back by drained workers");
+                }
+                None
+            }
+            _ => None,
+        }
+    }
+
+    /// Notes that a coordinator has accepted a report, with which its lease ends.
+    pub(crate) fn note_accepted(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch, now: Duration) {
+        let is_done = self.reported.contains(&(task, epoch));
+        let sick = self.sick;
+        let Self { queues, .. } = self;
+        let Some(worker) = queues.workers.get_mut(&session) else { return };
+        let Some(held) = worker.held.remove(&(epoch, task)) else { return };
+        if is_done {
+            worker.streaks.remove(&task.job);
+            queues.known.entry((incarnation(epoch), task.job, task.stage.number)).or_insert(now);
+        }
+        if let Some(at) = held.panicked {
+            let pauses = worker.streaks.entry(task.job).or_default().failed(task, held.is_probe, at);
+            let is_alone = sick == Some(worker.host);
+            if pauses {
+                self.did(if is_alone { "pauses of lone sick workers" } else { "pauses of other sick workers" });
+            }
+        }
+    }
+
+    /// Notes a new lease, and returns the promises that it breaks.
+    pub(crate) fn judge_lease(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Vec<Violation> {
+        let wrong = [
+            self.judge_pause(session, lease, now),
+            self.judge_depth(session, lease, now),
+            self.judge_order(session, lease),
+        ];
+        let patience = self.chronicle.contents.patience.longest();
+        let Self { queues, chronicle, .. } = self;
+        let Some(worker) = queues.workers.get_mut(&session) else { return Vec::new() };
+        let (task, key) = (lease.task, (lease.epoch, lease.task));
+        let spec = chronicle.spec(task.job);
+        let own = queues.world.as_ref().zip(spec).map_or(0, |((paces, _), spec)| paces.least(lease, spec));
+        let known = queues.known.get(&(incarnation(lease.epoch), task.job, task.stage.number));
+        let is_known = known.is_some_and(|&since| now.saturating_sub(since) > patience);
+        let least = if queues.blurred.contains(&(task.job, task.stage.number)) {
+            0
+        } else if is_known {
+            own
+        } else {
+            own.min(FIRST)
+        };
+        let is_probe = worker.streaks.get(&task.job).is_some_and(|streak| streak.pauses.is_some());
+        if lane(&task) == Lane::Compute && lease.copy_of.is_none() {
+            let (joins, engine) = (worker.held_in(Lane::Join).count(), worker.engine.clone());
+            queues.grants.push_back(Grant { at: now, key, instance: worker.instance, engine, joins });
+            while queues.grants.front().is_some_and(|grant| now.saturating_sub(grant.at) > MEMORY) {
+                queues.grants.pop_front();
+            }
+        }
+        worker.held.insert(key, Held { least, is_probe, is_computed: false, panicked: None });
+        queues.leased.insert(task);
+        wrong.into_iter().flatten().collect()
+    }
+
+    /// Back-off: after three tasks of a job have failed on a worker, it is leased no task of the job for one second, and then one task.
+    /// Each further failure doubles the pause. The promise holds for lone workers and others: beside a healthy worker the pauses are
+    /// longer.
+    ///
+    /// The scheduler counts only the failures that it has accepted, so this begins with the acceptance. Failures of tasks that waited at the
+    /// worker when the pause began double nothing. Worlds with wrong clocks are left out.
+    fn judge_pause(&self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
+        /// The coordinators' clocks count milliseconds.
+        const SLACK: Duration = Duration::from_millis(10);
+        let (_, limits) = self.queues.world.as_ref().filter(|_| !self.queues.is_untimed)?;
+        let worker = self.queues.workers.get(&session)?;
+        let streak = worker.streaks.get(&lease.task.job)?;
+        let (begun, ends) = (streak.pauses?, streak.ends(limits)?);
+        (now + SLACK < ends).then(|| Violation::Hasty {
+            instance: worker.instance,
+            task: lease.task,
+            failures: FAILURES as u32 + streak.probes,
+            milliseconds: now.saturating_sub(begun).as_millis() as u64,
+            pause: (ends - begun).as_millis() as u64,
+            at: now,
+        })
+    }
+
+    /// Depth: one task may always wait behind the one that runs. A second one may wait if the first takes at most two seconds. More may
+    /// wait if all that wait take less than a fifth of a second together, up to 64 beyond the prefetched ones.
+    ///
+    /// The time of a task is the shortest one by the pace of its own job and stage, and at most one second before a task of the stage is
+    /// done, for its coordinator then knows no pace. Two kinds of tasks count nothing: tiles that all take equally long whatever their
+    /// size, and tasks of a stage whose leases outlived a session, because their coordinator has not seen all of their time. Worlds with
+    /// wrong clocks are left out.
+    fn judge_depth(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
+        let (_, limits) = self.queues.world.as_ref().filter(|_| !self.queues.is_untimed)?;
+        let worker = self.queues.workers.get(&session).filter(|_| lane(&lease.task) == Lane::Compute)?;
+        let waiting: Vec<u64> = worker.waiting(&self.queues.begun).map(|(_, held)| held.least).collect();
+        let (count, milliseconds) = (waiting.len(), waiting.iter().sum::<u64>());
+        let is_too_much = match count {
+            0 => false,
+            1 => milliseconds > limits.queue,
+            _ => milliseconds >= limits.ahead || count > Config::DEEPEST + limits.prefetch as usize,
+        };
+        let (instance, task) = (worker.instance, lease.task);
+        let is_bounded = limits.ahead < FIRST && milliseconds > 0;
+        match count {
+            2.. if is_bounded => self.did("leases of short tasks behind several that wait"),
+            1 if is_bounded => self.did("leases behind one task that waits"),
+            _ => {}
+        }
+        is_too_much.then_some(Violation::Deep { instance, task, count, milliseconds, at: now })
+    }
+
+    /// Order: a task that joins waits for no task that computes. After the last record about its frame, no worker that could take it is
+    /// leased a task that computes, of this job or of another.
+    ///
+    /// The check looks back at the first lease of each such task. A worker could take it if it has the same build, held at most one other
+    /// task that joins, and no task of the job has failed there. The check allows for the longest time until what the log says is known
+    /// everywhere.
+    fn judge_order(&mut self, session: SessionNumber, lease: &Assignment) -> Option<Violation> {
+        let queues = &self.queues;
+        let TaskKey { job, stage, .. } = lease.task;
+        let worker = queues.workers.get(&session)?;
+        let reads_content = self.chronicle.spec(job)?.graph.reads_content(stage.number);
+        let is_first = lease.copy_of.is_none() && !queues.leased.contains(&lease.task);
+        if lane(&lease.task) != Lane::Join || reads_content || !is_first {
+            return None;
+        }
+        let frame = queues.frames.get(&(job, stage.frame)).copied().unwrap_or_default();
+        let since = frame.max(queues.jobs.get(&job).copied().unwrap_or_default());
+        let from = since + self.chronicle.contents.patience.longest();
+        let could = |grant: &&Grant| {
+            grant.at > from
+                && incarnation(grant.key.0) == incarnation(lease.epoch)
+                && grant.engine == worker.engine
+                && grant.joins <= 1
+                && !queues.troubled.contains(&(job, grant.instance))
+        };
+        let starved = queues.grants.iter().find(could).map(|grant| Violation::Starved {
+            task: lease.task,
+            instance: grant.instance,
+            other: grant.key.1,
+            milliseconds: grant.at.saturating_sub(since).as_millis() as u64,
+            at: grant.at,
+        });
+        let owner = |job: JobId| self.chronicle.spec(job).map(|spec| spec.owner.as_str());
+        let is_beside = worker.waiting(&queues.begun).any(|((_, task), _)| owner(task.job) != owner(job));
+        if is_beside {
+            self.did("joins beside waiting tasks of another owner");
+        }
+        starved
+    }
+}

@@ -27,6 +27,8 @@ pub enum Operation {
     Tasks,
     /// See a frame as it grows.
     Picture,
+    /// Read a result of a job as a file.
+    Download,
     /// See what attempts took.
     Attempts,
     /// See the workers.
@@ -67,7 +69,7 @@ pub enum Operation {
 
 impl Operation {
     /// Those that requests over HTTP are.
-    pub const HTTP: [Self; 17] = [
+    pub const HTTP: [Self; 18] = [
         Self::List,
         Self::Status,
         Self::Control,
@@ -75,6 +77,7 @@ impl Operation {
         Self::FrameTable,
         Self::Tasks,
         Self::Picture,
+        Self::Download,
         Self::Attempts,
         Self::ListWorkers,
         Self::DrainWorkers,
@@ -101,6 +104,7 @@ impl Operation {
             Self::FrameTable => "Jobs/FrameTable",
             Self::Tasks => "Jobs/Tasks",
             Self::Picture => "Jobs/Picture",
+            Self::Download => "Jobs/Download",
             Self::Attempts => "Jobs/Attempts",
             Self::ListWorkers => "Jobs/ListWorkers",
             Self::DrainWorkers => "Jobs/DrainWorkers",
@@ -136,6 +140,7 @@ impl Operation {
             | Self::FrameTable
             | Self::Tasks
             | Self::Picture
+            | Self::Download
             | Self::Attempts
             | Self::ListWorkers
             | Self::Feed => Right::User(Role::Viewer),

@@ -271,12 +271,12 @@ fn audit(asked: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
     audit.map_err(|error| failed(format!("--audit: {error}; give a file that can be written")))
 }
 
-/// What browsers warn of at a coordinator with this identity, and what to do about it.
+/// The warning that browsers show at a coordinator with this identity, and its remedy.
 fn browser_warning(identity: &Identity) -> Option<String> {
     let fingerprint = browser_fingerprint(identity.authority()).ok()?;
     Some(format!(
-        "browsers warn of an unknown authority until they have imported its certificate (`femc ca export` writes the file, and no \
-         key); its SHA-256 fingerprint is {fingerprint}"
+        "browsers warn of an unknown authority until the authority's certificate is imported there: `femc ca export` writes that \
+         file, which has no key; its SHA-256 fingerprint is {fingerprint}"
     ))
 }
 

@@ -58,7 +58,7 @@ fn spec(name: &str) -> JobSpec {
         settings: "{}".into(),
         frames: vec![3, 4],
         grid: Grid { film: [8, 8], tile: 8 },
-        graph: Graph { stages: vec![encode], ..Graph::default() },
+        graph: Graph { stages: vec![encode] },
         contents: Vec::new(),
         priority: 50,
         owner: "me".into(),

@@ -67,8 +67,9 @@ pub(super) fn large<T: Send + 'static>(kind: &'static str, bytes: Bytes, held: T
     response
 }
 
-/// A stream of pieces, of so many bytes in all. An error within it breaks the connection or the stream off, so that the client does
-/// not take what it has for the whole.
+/// A body that is sent piece by piece. An error within it breaks the connection or the stream off, so that the client does not take
+/// a part for the whole.
+/// - `length`: bytes of all pieces.
 pub(super) fn stream(
     status: StatusCode,
     length: u64,

@@ -46,9 +46,10 @@ impl<S: Send + 'static> Http<S> {
         if range::is_known(asked.headers, &tag) {
             return Ok(cached(answer::empty(StatusCode::NOT_MODIFIED), &tag));
         }
-        let wanted = range::wanted(asked.headers, artifact.bytes, &tag);
-        let place = self.0.places.take(who).await;
         let is_head = *asked.method == Method::HEAD;
+        // Ranges are defined for GET alone.
+        let wanted = if is_head { Wanted::Whole } else { range::wanted(asked.headers, artifact.bytes, &tag) };
+        let place = self.0.places.take(who).await;
         let is_sound = match &wanted {
             _ if is_head => self.0.store.size(&artifact.digest).await.map(|size| size == Some(artifact.bytes)),
             Wanted::Beyond => Ok(true),
@@ -108,14 +109,17 @@ impl<S: Send + 'static> Http<S> {
         }
     }
 
-    /// Why a result cannot be read. One that is damaged or gone is made again.
+    /// Explains why a result cannot be read. One that is damaged or gone is made again.
     async fn unreadable(&self, job: JobId, file: File, artifact: &Artifact, error: &StoreError) -> Fault {
         match error {
             StoreError::Missing { .. } | StoreError::Mismatch { .. } => {
                 report_unless_sound(&self.0.store, &self.0.farm, artifact).await;
                 Fault::Lost { job, file: file.describe() }
             }
-            _ => store_refusal(error).into(),
+            StoreError::Unsound { .. }
+            | StoreError::TooLarge { .. }
+            | StoreError::Url { .. }
+            | StoreError::Medium { .. } => store_refusal(error).into(),
         }
     }
 }

@@ -4,7 +4,7 @@ use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
 use clap::{Args, Subcommand, ValueEnum};
-use femc_trust::{Authority, Holder, Issue, Issued, Role, TrustError};
+use femc_trust::{Authority, Holder, Issue, Issued, Role, TrustError, browser_fingerprint};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
     femc coordinator --listen 0.0.0.0:7878 --identity farm.pem --revoked femc-ca/revoked\n  \
     femc worker --join https://farm.lan:7878 --identity node-7.pem\n  \
     FEMC_SERVER=https://farm.lan:7878 FEMC_IDENTITY=ann.pem femc jobs\n  \
+    femc ca export -o farm.crt    # for browsers, which warn of the farm's authority until they have it\n  \
     femc ca revoke node-7    # from the next message on, node-7 is let in no more\n\n\
     Who cannot have an identity gets a token: whoever has its file is taken for its owner, until its date or until it is revoked:\n  \
     femc ca token user build --role submitter --days 30 -o build.token\n  \
@@ -67,6 +68,21 @@ enum Action {
         folder: FolderArgs,
         #[command(flatten)]
         format: FormatArgs,
+    },
+    /// Write the authority's certificate alone, for browsers and other programs
+    ///
+    /// Write the authority's certificate alone, for browsers and other programs. Browsers warn of a coordinator with --identity,
+    /// because they do not know the farm's authority. They stop after this file was imported as the certificate of an authority.
+    /// It has no key and is no secret. Whoever imports it compares the SHA-256 fingerprint first.
+    #[command(after_help = "Examples:\n  \
+        femc ca export -o farm.crt\n  \
+        openssl x509 -in farm.crt -noout -fingerprint -sha256    # the same fingerprint, elsewhere")]
+    Export {
+        /// File to write
+        #[arg(short, long, value_name = "FILE", default_value = "femc-authority.crt")]
+        output: PathBuf,
+        #[command(flatten)]
+        folder: FolderArgs,
     },
     /// Let whoever shows an identity of this name in no more
     #[command(after_help = "Examples:\n  femc ca revoke node-7")]
@@ -154,6 +170,7 @@ pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
         Action::Issue(args) => issue(args, say)?,
         Action::Token(args) => token(args, say)?,
         Action::List { folder, format } => list(&folder.folder, format, say)?,
+        Action::Export { output, folder } => export(&output, &folder.folder, say)?,
         Action::Revoke { name, folder } => {
             let authority = open(&folder.folder)?;
             let count = authority.revoke(&name).map_err(|error| map_trust_error(&error))?;
@@ -169,12 +186,29 @@ pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 fn open(folder: &Path) -> Result<Authority, Failure> {
-    Authority::open(folder).map_err(|error| match &error {
+    Authority::open(folder).map_err(|error| not_there(folder, &error))
+}
+
+fn not_there(folder: &Path, error: &TrustError) -> Failure {
+    match error {
         TrustError::File { error: cause, .. } if cause.kind() == std::io::ErrorKind::NotFound => {
             usage(format!("--dir {}: no authority is there; make one with `femc ca init`", folder.display()))
         }
-        _ => map_trust_error(&error),
-    })
+        _ => map_trust_error(error),
+    }
+}
+
+/// Writes the authority's certificate, and says how to check it.
+fn export(output: &Path, folder: &Path, say: Say) -> Result<(), Failure> {
+    let path = free(Some(output.into()), String::new())?;
+    let certificate = Authority::certificate(folder).map_err(|error| not_there(folder, &error))?;
+    let fingerprint = browser_fingerprint(&certificate).map_err(|error| map_trust_error(&error))?;
+    std::fs::write(&path, certificate).map_err(|error| failed(format!("{}: {error}", path.display())))?;
+    say.result(path.display());
+    say.note(format!(
+        "import it into browsers as the certificate of an authority, after a look at its SHA-256 fingerprint: {fingerprint}"
+    ));
+    Ok(())
 }
 
 fn issue(args: IssueArgs, say: Say) -> Result<(), Failure> {

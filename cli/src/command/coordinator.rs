@@ -14,7 +14,7 @@ use femc_coordinator::{
     NotifyKey, Postgres, QueueError, Standing, UrlPrefix,
 };
 use femc_metrics::Report;
-use femc_trust::{Audit, Holder, Identity, Revoked, Tokens};
+use femc_trust::{Audit, Holder, Identity, Revoked, Tokens, browser_fingerprint};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
@@ -187,6 +187,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
             args.listen
         )));
     }
+    let warning = entrance.as_ref().and_then(|entrance| browser_warning(entrance.identity.as_ref()?));
     let audit = audit(args.audit, &log)?;
     let exposure = if args.insecure { Exposure::Anybody } else { Exposure::Loopback };
     if args.insecure && !args.listen.ip().is_loopback() {
@@ -226,7 +227,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         let (mut news, url) = (coordinator.standing(), coordinator.url());
         metrics::show(args.metrics.metrics, reporter(counted, &coordinator), say).await?;
         loop {
-            tell(say, &news.borrow_and_update(), &url);
+            tell(say, &news.borrow_and_update(), &url, warning.as_deref());
             tokio::select! {
                 error = coordinator.failed() => return Err(map_coordinator_error(&error)),
                 () = interrupt.wait() => break,
@@ -287,12 +288,22 @@ fn audit(asked: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
     audit.map_err(|error| failed(format!("--audit: {error}; give a file that can be written")))
 }
 
-fn tell(say: Say, standing: &Standing, url: &str) {
+/// The warning that browsers show at a coordinator with this identity, and its remedy.
+fn browser_warning(identity: &Identity) -> Option<String> {
+    let fingerprint = browser_fingerprint(identity.authority()).ok()?;
+    Some(format!(
+        "browsers warn of an unknown authority until the authority's certificate is imported there: `femc ca export` writes that \
+         file, which has no key; its SHA-256 fingerprint is {fingerprint}"
+    ))
+}
+
+fn tell(say: Say, standing: &Standing, url: &str, warning: Option<&str>) {
     match standing {
         Standing::Leads => {
             say.result(format!("listening on {url}"));
             if !site().files.is_empty() {
                 say.note(format!("the farm in a browser: {url}/"));
+                warning.into_iter().for_each(|warning| say.note(warning));
             }
         }
         Standing::StandsBy { leader: Some(leader) } => say.note(format!("standing by; {leader} leads")),

@@ -47,8 +47,8 @@ impl Secured {
     fn gets(&self) -> Vec<(String, u16)> {
         let job = format!("jobs/{}", self.job);
         let of_job = ["", "/frames", "/tasks?state=done&count=2", "/attempts", "/logs"].map(|rest| (rest, 200));
-        let pictures = ["thumbnail.png", "pixels"].map(|name| (format!("/frames/1/{name}"), 200));
-        let none = [("/frames/1/maps".to_owned(), 204), ("/nothing".to_owned(), 404)];
+        let pictures = ["thumbnail.png", "pixels", "image.exr"].map(|name| (format!("/frames/1/{name}"), 200));
+        let none = [("/frames/1/maps".to_owned(), 204), ("/clip".to_owned(), 404), ("/nothing".to_owned(), 404)];
         let of_job = of_job.map(|(rest, status)| (rest.to_owned(), status)).into_iter().chain(pictures).chain(none);
         let of_job = of_job.map(|(rest, status)| (format!("{job}{rest}"), status));
         let of_farm = ["me", "jobs", "workers", "audit?count=5"].map(|path| (path.to_owned(), 200));

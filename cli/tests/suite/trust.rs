@@ -86,6 +86,25 @@ fn who_has_no_identity_or_lost_it_is_told_so() {
 }
 
 #[test]
+fn browsers_get_the_certificate_of_the_authority_alone_and_its_fingerprint() {
+    let place = Place::new();
+    let missing = place.run("ca export").exits(2).stderr();
+    assert!(missing.contains("femc ca init"), "{missing}");
+    let (mut farm, _url) = farm(&place, &[]);
+    let exported = place.run("ca export -o farm.crt").exits(0);
+    assert_eq!(exported.stdout().trim(), "farm.crt");
+    let certificate = place.read("farm.crt");
+    assert_eq!(certificate, place.read("femc-ca/authority.pem"));
+    assert!(certificate.matches("BEGIN").count() == 1 && !certificate.contains("KEY"), "no key is in it");
+    let fingerprint = exported.stderr().split_whitespace().last().expect("a fingerprint").to_owned();
+    assert_eq!(fingerprint.split(':').count(), 32, "{fingerprint}");
+    place.run("ca export -o farm.crt").exits(1);
+    // The coordinator says the same of its authority.
+    let told = farm.kill_for_stderr();
+    assert!(told.contains("browsers warn") && told.contains(&fingerprint), "{told}");
+}
+
+#[test]
 fn tokens_open_what_identities_open_until_they_are_revoked() {
     let place = Place::new();
     place.run("ca init").exits(0);

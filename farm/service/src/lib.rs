@@ -10,6 +10,7 @@ pub mod attempts;
 mod call;
 mod farm;
 mod feed;
+mod file;
 mod http;
 mod operation;
 mod picture;

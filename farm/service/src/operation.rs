@@ -27,6 +27,8 @@ pub enum Operation {
     Tasks,
     /// See a frame as it grows.
     Picture,
+    /// Read a result of a job as a file.
+    Download,
     /// See what attempts took.
     Attempts,
     /// See what the owners' jobs used of the farm.
@@ -69,7 +71,7 @@ pub enum Operation {
 
 impl Operation {
     /// Those that requests over HTTP are.
-    pub const HTTP: [Self; 18] = [
+    pub const HTTP: [Self; 19] = [
         Self::List,
         Self::Status,
         Self::Control,
@@ -77,6 +79,7 @@ impl Operation {
         Self::FrameTable,
         Self::Tasks,
         Self::Picture,
+        Self::Download,
         Self::Attempts,
         Self::Usage,
         Self::ListWorkers,
@@ -104,6 +107,7 @@ impl Operation {
             Self::FrameTable => "Jobs/FrameTable",
             Self::Tasks => "Jobs/Tasks",
             Self::Picture => "Jobs/Picture",
+            Self::Download => "Jobs/Download",
             Self::Attempts => "Jobs/Attempts",
             Self::Usage => "Jobs/Usage",
             Self::ListWorkers => "Jobs/ListWorkers",
@@ -140,6 +144,7 @@ impl Operation {
             | Self::FrameTable
             | Self::Tasks
             | Self::Picture
+            | Self::Download
             | Self::Attempts
             | Self::Usage
             | Self::ListWorkers

@@ -54,7 +54,7 @@ impl Store {
     /// Questions to the medium at a time.
     const AT_ONCE: usize = 32;
     /// Bytes that are asked of the medium at once.
-    const READ: u64 = 4 << 20;
+    pub const READ: u64 = 4 << 20;
     /// Artifacts that are read at once to see whether they are sound.
     const READERS: usize = 8;
     /// Bytes that are hashed without a break.
@@ -222,6 +222,21 @@ impl Store {
             return Err(StoreError::Mismatch { announced: *digest, found });
         }
         Ok(())
+    }
+
+    /// A part of its bytes, unchecked: read it after [`Store::verify`] or [`Store::known`].
+    /// - `range`: within the artifact.
+    pub async fn part(&self, digest: &Digest, range: std::ops::Range<u64>) -> Result<Bytes, StoreError> {
+        let wanted = range.end.saturating_sub(range.start);
+        if wanted == 0 {
+            return Ok(Bytes::new());
+        }
+        let bytes = match self.objects.get_range(&place(digest), range).await {
+            Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
+            other => other.map_err(|error| self.medium(error))?,
+        };
+        // A medium may answer with the bytes that are left of a shorter object.
+        if bytes.len() as u64 == wanted { Ok(bytes) } else { Err(StoreError::Missing { digest: *digest }) }
     }
 
     /// Removes it; one that is not there is no error.

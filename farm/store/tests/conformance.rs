@@ -51,6 +51,9 @@ async fn conforms(store: &Store) {
         tail.extend_from_slice(&piece);
     }
     assert_eq!(tail, large[19_000_000..]);
+    assert_eq!(store.part(&digest, 4_000_000..4_000_100).await.unwrap(), large[4_000_000..4_000_100]);
+    let beyond = store.part(&digest, 20_000_000..20_000_004).await;
+    assert!(beyond.is_err(), "four bytes where three are left: {beyond:?}");
 
     for size in [10, 20_000_000] {
         let announced = Digest::of(b"something else");

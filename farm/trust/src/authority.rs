@@ -8,6 +8,8 @@ use rcgen::{
     BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
     KeyUsagePurpose, SanType,
 };
+use rustls_pki_types::CertificateDer;
+use rustls_pki_types::pem::PemObject as _;
 use serde::{Deserialize, Serialize};
 use time::{Duration, OffsetDateTime};
 
@@ -96,6 +98,19 @@ impl Authority {
             KeyPair::from_pem(&key).map_err(|error| TrustError::Malformed { path, message: error.to_string() })?;
         let (certificate, name) = (read("authority.pem")?, read("name")?);
         Ok(Self { folder: folder.into(), certificate, issuer: Issuer::new(of_authority(name.trim()), key) })
+    }
+
+    /// Reads the certificate of the authority in `folder`, PEM. Its key is not read.
+    pub fn certificate(folder: &Path) -> Result<String, TrustError> {
+        let path = folder.join("authority.pem");
+        let text = std::fs::read_to_string(&path).map_err(TrustError::file(&path))?;
+        // A key that somebody has put beside the certificate stays there.
+        let certificates = CertificateDer::pem_slice_iter(text.as_bytes()).collect::<Result<Vec<_>, _>>();
+        match certificates.as_deref() {
+            Ok([_]) if !text.contains("PRIVATE KEY") => Ok(text),
+            Ok(_) => Err(TrustError::Malformed { path, message: "it is not one certificate alone".into() }),
+            Err(error) => Err(TrustError::Malformed { path, message: error.to_string() }),
+        }
     }
 
     /// A new identity, noted in the folder before it is returned.

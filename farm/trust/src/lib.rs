@@ -8,6 +8,7 @@
 
 mod audit;
 mod authority;
+mod browser;
 mod error;
 mod holder;
 mod identity;
@@ -19,6 +20,7 @@ mod until;
 
 pub use audit::{Audit, AuditEvent};
 pub use authority::{Authority, COORDINATOR_HOST, Issue, Issued};
+pub use browser::browser_fingerprint;
 pub use error::TrustError;
 pub use holder::{Holder, Role};
 pub use identity::{Fingerprint, Identity, holder_of};

@@ -140,6 +140,17 @@ export const api = {
     return { pixels: decodePixels(await answer.arrayBuffer()), etag: answer.headers.get('ETag') };
   },
 
+  /** The media type of a file. */
+  async fileType(address: string, signal?: AbortSignal): Promise<string> {
+    const answer = await ask(address, { method: 'HEAD', signal: signal ?? null });
+    return answer.headers.get('Content-Type') ?? 'application/octet-stream';
+  },
+  /** True if a file is sound: the coordinator reads all of it before it sends the first byte. */
+  async checkFile(address: string): Promise<true> {
+    await ask(address, { headers: { Range: 'bytes=0-0' }, cache: 'no-store' });
+    return true;
+  },
+
   /** Steers jobs, in as many requests as they need: after one that fails, the others are not sent. */
   async control(jobs: number[], action: JobAction, more: { priority?: number; frames?: number[] } = {}) {
     const all: Done<number> = { done: [], refused: [] };

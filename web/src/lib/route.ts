@@ -2,8 +2,8 @@
 
 import { ranges } from './format';
 
-export type JobTab = 'frames' | 'picture' | 'tasks' | 'timeline' | 'logs' | 'settings';
-export const JOB_TABS: readonly JobTab[] = ['frames', 'picture', 'tasks', 'timeline', 'logs', 'settings'];
+export type JobTab = 'frames' | 'picture' | 'tasks' | 'timeline' | 'logs' | 'settings' | 'clip';
+export const JOB_TABS: readonly JobTab[] = ['frames', 'picture', 'tasks', 'timeline', 'logs', 'settings', 'clip'];
 
 export type Route =
   | { page: 'jobs' }

@@ -118,6 +118,9 @@ export interface Spec {
   frames: number[];
   tags: string[];
   stages: StageTemplate[];
+  /** Names of the files of the clip and of the contact sheet, where the job makes these. */
+  clip?: string | null;
+  sheet?: string | null;
   /** Settings of the render, as JSON. */
   settings: string;
 }

@@ -85,9 +85,9 @@ export class Farm {
     );
   }
 
-  worker(name, options = []) {
+  worker(name, options = [], env = {}) {
     const args = ['worker', '--join', this.url, '--threads', '1', '--name', name, '--outbox', `outbox-${name}`];
-    this.workers.set(name, this.launch(name, [...args, ...options]));
+    this.workers.set(name, this.launch(name, [...args, ...options], env));
   }
 
   /** Ends a process at once, as a loss of power would. */

@@ -10,6 +10,7 @@ import { join } from 'node:path';
 import axe from 'axe-core';
 import { chromium } from 'playwright-core';
 import { Farm, pause, until } from './farm.mjs';
+import { files } from './files.mjs';
 import { hands } from './hands.mjs';
 import { numbers } from './numbers.mjs';
 import { tabs } from './tabs.mjs';
@@ -446,6 +447,8 @@ await step('logs and settings', async () => {
 });
 
 await numbers({ step, claim, equal, farm, page: () => current, visit });
+
+await files({ step, open, claim, equal, farm, page: () => current, visit, accessible });
 
 await hands({ step, open, claim, equal, farm, jobs, shotsAt });
 

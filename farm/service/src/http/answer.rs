@@ -1,6 +1,7 @@
 //! Responses, and what every one of them says to browsers.
 
 use std::convert::Infallible;
+use std::io;
 
 use ::http::header::{
     CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
@@ -16,11 +17,11 @@ use http_body_util::{BodyExt as _, Full, StreamBody};
 use serde::Serialize;
 
 /// What a response brings.
-pub type Body = UnsyncBoxBody<Bytes, Infallible>;
+pub type Body = UnsyncBoxBody<Bytes, io::Error>;
 
 /// Scripts, styles and pictures come from the coordinator alone, none from within the page; nobody shows it in a frame.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
-    connect-src 'self'; font-src 'self'; worker-src 'self'; manifest-src 'self'; form-action 'self'; base-uri 'none'; \
+    media-src 'self'; connect-src 'self'; font-src 'self'; worker-src 'self'; manifest-src 'self'; form-action 'self'; base-uri 'none'; \
     frame-ancestors 'none'";
 
 /// What every response says.
@@ -41,7 +42,7 @@ pub(super) fn protect(response: &mut Response<Body>) {
 
 /// These bytes, of this type.
 pub(super) fn bytes(status: StatusCode, kind: &'static str, bytes: impl Into<Bytes>) -> Response<Body> {
-    let mut response = Response::new(Full::new(bytes.into()).boxed_unsync());
+    let mut response = Response::new(full(bytes.into()));
     *response.status_mut() = status;
     response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(kind));
     response
@@ -66,9 +67,27 @@ pub(super) fn large<T: Send + 'static>(kind: &'static str, bytes: Bytes, held: T
     response
 }
 
+/// A body that is sent piece by piece. An error within it breaks the connection or the stream off, so that the client does not take
+/// a part for the whole.
+/// - `length`: bytes of all pieces.
+pub(super) fn stream(
+    status: StatusCode,
+    length: u64,
+    pieces: impl Stream<Item = io::Result<Bytes>> + Send + 'static,
+) -> Response<Body> {
+    let mut response = Response::new(StreamBody::new(pieces.map(|piece| piece.map(Frame::data))).boxed_unsync());
+    *response.status_mut() = status;
+    response.headers_mut().insert(CONTENT_LENGTH, length.into());
+    response
+}
+
+fn full(bytes: Bytes) -> Body {
+    Full::new(bytes).map_err(|never| match never {}).boxed_unsync()
+}
+
 /// Without a body.
 pub(super) fn empty(status: StatusCode) -> Response<Body> {
-    let mut response = Response::new(Full::default().boxed_unsync());
+    let mut response = Response::new(full(Bytes::new()));
     *response.status_mut() = status;
     response
 }
@@ -104,7 +123,7 @@ fn escaped(text: &str) -> String {
 
 /// Server-sent events.
 pub(super) fn events(events: impl Stream<Item = Result<Bytes, Infallible>> + Send + 'static) -> Response<Body> {
-    let body = StreamBody::new(events.map(|event| event.map(Frame::data)));
+    let body = StreamBody::new(events.map(|event| event.map(Frame::data).map_err(|never| match never {})));
     let mut response = Response::new(body.boxed_unsync());
     response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
     response

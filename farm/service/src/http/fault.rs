@@ -1,8 +1,8 @@
 //! Why a request is not answered with what it asks for.
 
-use ::http::header::{ACCEPT, ALLOW, HeaderValue, RETRY_AFTER};
+use ::http::header::{ACCEPT, ALLOW, CONTENT_RANGE, HeaderValue, RETRY_AFTER};
 use ::http::{Response, StatusCode};
-use femc_model::Refusal;
+use femc_model::{JobId, Refusal};
 use serde_json::json;
 
 use super::Asked;
@@ -54,6 +54,28 @@ pub(super) enum Fault {
         /// Host of the request.
         host: String,
     },
+    /// The job does not make this result, or it is not finished.
+    #[error("job {job} has no {file}, or it is not finished")]
+    NotMade {
+        /// The job.
+        job: JobId,
+        /// The result.
+        file: String,
+    },
+    /// The store has lost a result.
+    #[error("{file} of job {job} was damaged in the farm's store, or is gone")]
+    Lost {
+        /// The job.
+        job: JobId,
+        /// The result.
+        file: String,
+    },
+    /// The part of a file that was asked for begins behind its end.
+    #[error("Range: the file has {length} bytes")]
+    Range {
+        /// Bytes of the file.
+        length: u64,
+    },
     /// A body is too large.
     #[error("the body has more than {limit} bytes")]
     TooLarge {
@@ -93,7 +115,8 @@ impl Fault {
                 Refusal::Forbidden { .. } => StatusCode::FORBIDDEN,
                 Refusal::Unauthenticated { .. } => StatusCode::UNAUTHORIZED,
             },
-            Self::Nowhere { .. } | Self::NoPage => StatusCode::NOT_FOUND,
+            Self::Nowhere { .. } | Self::NoPage | Self::NotMade { .. } | Self::Lost { .. } => StatusCode::NOT_FOUND,
+            Self::Range { .. } => StatusCode::RANGE_NOT_SATISFIABLE,
             Self::Method { .. } => StatusCode::METHOD_NOT_ALLOWED,
             Self::Invalid { .. } => StatusCode::BAD_REQUEST,
             Self::CrossSite { .. } | Self::Host { .. } => StatusCode::FORBIDDEN,
@@ -107,7 +130,9 @@ impl Fault {
     pub(super) fn code(&self) -> &'static str {
         match self {
             Self::Refused(refusal) => code(refusal),
-            Self::Nowhere { .. } | Self::NoPage => "not_found",
+            Self::Nowhere { .. } | Self::NoPage | Self::NotMade { .. } => "not_found",
+            Self::Lost { .. } => "lost",
+            Self::Range { .. } => "range",
             Self::Method { .. } => "method_not_allowed",
             Self::Invalid { .. } => "invalid",
             Self::CrossSite { .. } => "cross_site",
@@ -147,6 +172,13 @@ impl Fault {
             Self::Host { .. } => {
                 "use its address, like http://127.0.0.1:PORT; names are for coordinators with --identity or --token-file"
             }
+            Self::NotMade { .. } => {
+                "GET /api/v1/jobs/JOB/frames lists the `outputs` of finished frames, and under 0 those of the whole job"
+            }
+            Self::Lost { .. } => {
+                "it is made again, in a job that has failed or was cancelled after a retry; ask again when it is finished"
+            }
+            Self::Range { .. } => "ask for a part within the file, or for the whole file without `Range`",
             Self::TooLarge { .. } => "send less at a time",
             Self::Headers { .. } => "send fewer or shorter headers, such as cookies",
             Self::Cut { .. } => "send the request again, all of it at once",
@@ -166,6 +198,9 @@ impl Fault {
             | Self::NoPage
             | Self::Method { .. }
             | Self::Invalid { .. }
+            | Self::NotMade { .. }
+            | Self::Lost { .. }
+            | Self::Range { .. }
             | Self::Cut { .. } => Outcome::Failed,
         }
     }
@@ -183,6 +218,10 @@ impl Fault {
         };
         if let Self::Method { allowed, .. } = self {
             response.headers_mut().insert(ALLOW, HeaderValue::from_static(allowed));
+        }
+        if let Self::Range { length } = self {
+            let range = HeaderValue::try_from(format!("bytes */{length}"));
+            response.headers_mut().extend(range.ok().map(|range| (CONTENT_RANGE, range)));
         }
         if matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE) {
             response.headers_mut().insert(RETRY_AFTER, HeaderValue::from_static("2"));

@@ -6,8 +6,10 @@
 
 mod answer;
 mod change;
+mod download;
 mod fault;
 mod pages;
+mod range;
 mod respond;
 mod route;
 mod site;

@@ -117,6 +117,7 @@ impl<S: Send + 'static> Http<S> {
             Route::Attempts(job, from, task) => self.attempts(job, from, task).await,
             Route::Logs(job, since, task) => self.logs(job, since, task, who).await,
             Route::Picture(job, frame, wanted) => self.picture(asked, job, frame, wanted, who).await,
+            Route::Download(job, file) => self.download(asked, job, file, who).await,
             Route::Workers => self.workers().await,
             Route::Usage => self.usage().await,
             Route::Control => self.control(&self.whole(body).await?, caller.as_deref(), trail).await,

@@ -6,6 +6,7 @@ use femc_model::{JobId, TaskFilter, TaskKey, TaskState, Tick};
 
 use super::Asked;
 use super::fault::Fault;
+use crate::file::{File, FrameFile};
 use crate::operation::Operation;
 use crate::picture::Wanted;
 
@@ -29,6 +30,8 @@ pub(super) enum Route {
     Logs(JobId, Tick, Option<TaskKey>),
     /// A frame as a picture.
     Picture(JobId, u32, Wanted),
+    /// A result of a job as a file.
+    Download(JobId, File),
     Control,
     Workers,
     /// Usage by owner and month.
@@ -91,9 +94,18 @@ impl Route {
                     "pixels" => Wanted::Pixels,
                     "maps" => Wanted::Maps,
                     "thumbnail.png" => Wanted::Thumbnail { height: height(query)? },
-                    _ => return Err(Fault::Nowhere { path: path.to_owned() }),
+                    _ => {
+                        let file = FrameFile::ALL.into_iter().find(|file| file.segment() == picture);
+                        let file = file.ok_or_else(|| Fault::Nowhere { path: path.to_owned() })?;
+                        let file = File::Frame(number("frame", frame)?, file);
+                        return Self::Download(number("job", job)?, file).by_reading(asked, path);
+                    }
                 };
                 (Self::Picture(number("job", job)?, number("frame", frame)?, wanted), Method::GET)
+            }
+            ["jobs", job, "clip"] => return Self::Download(number("job", job)?, File::Clip).by_reading(asked, path),
+            ["jobs", job, "sheet.png"] => {
+                return Self::Download(number("job", job)?, File::Sheet).by_reading(asked, path);
             }
             ["workers"] => (Self::Workers, Method::GET),
             ["usage"] => (Self::Usage, Method::GET),
@@ -127,6 +139,14 @@ impl Route {
         Err(Fault::Method { path: path.to_owned(), allowed })
     }
 
+    /// Lets GET and HEAD through.
+    fn by_reading(self, asked: &Asked<'_>, path: &str) -> Result<Self, Fault> {
+        if matches!(*asked.method, Method::GET | Method::HEAD) {
+            return Ok(self);
+        }
+        Err(Fault::Method { path: path.to_owned(), allowed: "GET, HEAD" })
+    }
+
     /// What it is.
     pub(super) fn operation(&self) -> Operation {
         match self {
@@ -142,6 +162,7 @@ impl Route {
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
+            Self::Download(..) => Operation::Download,
             Self::Control => Operation::Control,
             Self::Workers => Operation::ListWorkers,
             Self::Usage => Operation::Usage,
@@ -242,7 +263,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 18);
+        assert_eq!(seen.values().sum::<usize>(), 26);
         // The page itself has no row, and what is no request has none.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));
@@ -250,8 +271,16 @@ mod tests {
 
     #[test]
     fn a_path_that_is_none_of_these_or_makes_no_sense_is_told_so() {
-        for path in ["/api", "/api/", "/api/v1", "/api/v2/jobs", "/api/v1/jobs/7/nothing", "/api/v1/jobs/7/frames/1/x"]
-        {
+        for path in [
+            "/api",
+            "/api/",
+            "/api/v1",
+            "/api/v2/jobs",
+            "/api/v1/jobs/7/nothing",
+            "/api/v1/jobs/7/frames/1/x",
+            "/api/v1/jobs/7/frames/1/image.png",
+            "/api/v1/jobs/7/clip/x",
+        ] {
             assert!(matches!(route(&Method::GET, path), Err(Fault::Nowhere { .. })), "{path}");
         }
         for path in [
@@ -265,7 +294,12 @@ mod tests {
         ] {
             assert!(matches!(route(&Method::GET, path), Err(Fault::Invalid { .. })), "{path}");
         }
-        for (method, path) in [(Method::POST, "/api/v1/jobs"), (Method::GET, "/logout"), (Method::DELETE, "/")] {
+        for (method, path) in [
+            (Method::POST, "/api/v1/jobs"),
+            (Method::GET, "/logout"),
+            (Method::DELETE, "/"),
+            (Method::POST, "/api/v1/jobs/7/clip"),
+        ] {
             assert!(matches!(route(&method, path), Err(Fault::Method { .. })), "{method} {path}");
         }
         assert_eq!(route(&Method::GET, "/login").expect("the page"), Route::Page("/login".into()));

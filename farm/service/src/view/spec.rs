@@ -5,6 +5,8 @@ use std::collections::BTreeSet;
 use femc_model::{JobSpec, Scope};
 use serde::Serialize;
 
+use crate::file::FileNames;
+
 /// A job's specification as JSON, without the tables of its tasks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SpecJson {
@@ -15,6 +17,10 @@ pub struct SpecJson {
     frames: Vec<u32>,
     tags: Vec<String>,
     stages: Vec<StageJson>,
+    /// Name of the clip's file, where the job makes one.
+    clip: Option<String>,
+    /// Name of the contact sheet's file, where the job makes one.
+    sheet: Option<String>,
     /// Render settings, JSON within a string.
     settings: String,
 }
@@ -45,12 +51,15 @@ impl From<&JobSpec> for SpecJson {
             tasks: template.tasks(),
             rounds: spec.graph.rounds(number),
         });
+        let FileNames { clip, sheet } = FileNames::new(&spec.graph);
         Self {
             film: spec.grid.film,
             tile: spec.grid.tile,
             frames: spec.frames.clone(),
             tags: spec.tags.clone(),
             stages: stages.collect(),
+            clip,
+            sheet,
             settings: spec.settings.clone(),
         }
     }

@@ -1,0 +1,191 @@
+//! Results of a job that people keep as files, under the names that `femc fetch` gives them.
+
+use femc_model::{Artifact, FrameRecord, Graph, JobSpec, Role, Stage, StageKind};
+use serde::Deserialize;
+
+/// A result of a frame or of the whole job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum File {
+    /// A result of the frame of this number.
+    Frame(u32, FrameFile),
+    /// All frames as a clip.
+    Clip,
+    /// All frames on one PNG.
+    Sheet,
+}
+
+/// A result of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum FrameFile {
+    /// EXR.
+    Image,
+    /// PNG under the frame's own exposure.
+    Preview,
+    /// PNG under the exposure of all frames.
+    Still,
+    /// PNG in a painted style.
+    Painted,
+    /// EXR with the layers.
+    Layers,
+    /// Light statistics.
+    Statistics,
+}
+
+impl FrameFile {
+    /// Every kind.
+    pub(crate) const ALL: [Self; 6] =
+        [Self::Image, Self::Preview, Self::Still, Self::Painted, Self::Layers, Self::Statistics];
+
+    /// Last part of its path over HTTP.
+    pub(crate) const fn segment(self) -> &'static str {
+        match self {
+            Self::Image => "image.exr",
+            Self::Preview => "preview.png",
+            Self::Still => "still.png",
+            Self::Painted => "painted.png",
+            Self::Layers => "layers.exr",
+            Self::Statistics => "statistics.paths",
+        }
+    }
+
+    /// End of its file name, after the frame's number.
+    const fn ending(self) -> &'static str {
+        match self {
+            Self::Image => "exr",
+            Self::Preview => "preview.png",
+            Self::Still => "png",
+            Self::Painted => "painted.png",
+            Self::Layers => "layers.exr",
+            Self::Statistics => "paths",
+        }
+    }
+
+    const fn role(self) -> Role {
+        match self {
+            Self::Image => Role::Image,
+            Self::Preview => Role::Preview,
+            Self::Still => Role::Still,
+            Self::Painted => Role::Painted,
+            Self::Layers => Role::LayerImage,
+            Self::Statistics => Role::Statistics,
+        }
+    }
+}
+
+impl File {
+    /// Its artifact, where it is made.
+    /// - `records`: finished frames of the job, with the record of the whole job.
+    pub(crate) fn artifact(self, spec: &JobSpec, records: &[FrameRecord]) -> Option<Artifact> {
+        let record = |frame| records.iter().find(|record| record.frame == frame);
+        let of_job = |role| {
+            let outputs = record(Stage::OF_JOB).map_or(&[][..], |record| &record.outputs);
+            outputs.iter().filter(move |output| output.role == role).map(|output| output.artifact)
+        };
+        match self {
+            Self::Clip => of_job(Role::Clip).next(),
+            Self::Sheet => of_job(Role::Sheet).next(),
+            Self::Frame(Stage::OF_JOB, _) => None,
+            // The whole job lists these in the order of frames.
+            Self::Frame(frame, file @ (FrameFile::Still | FrameFile::Painted)) => {
+                let place = spec.frames.iter().position(|&other| other == frame)?;
+                of_job(file.role()).nth(place)
+            }
+            Self::Frame(frame, file) => record(frame)?.output(file.role()),
+        }
+    }
+
+    /// Its file name.
+    /// - `extension`: of a clip whose name the job does not tell.
+    pub(crate) fn name(self, spec: &JobSpec, extension: &str) -> String {
+        let names = FileNames::new(&spec.graph);
+        match self {
+            Self::Frame(frame, file) => format!("{}.{frame:04}.{}", spec.name, file.ending()),
+            Self::Clip => names.clip.unwrap_or_else(|| format!("{}.clip.{extension}", spec.name)),
+            Self::Sheet => names.sheet.unwrap_or_else(|| format!("{}.sheet.png", spec.name)),
+        }
+    }
+
+    /// The result for people, within a sentence.
+    pub(crate) fn describe(self) -> String {
+        match self {
+            Self::Frame(frame, file) => format!("{} of frame {frame}", file.segment()),
+            Self::Clip => "clip".to_owned(),
+            Self::Sheet => "contact sheet".to_owned(),
+        }
+    }
+}
+
+/// File names that the submitter of a job has chosen.
+#[derive(Debug, Default)]
+pub(crate) struct FileNames {
+    /// Name of the clip; its extension names the format.
+    pub(crate) clip: Option<String>,
+    /// Name of the contact sheet.
+    pub(crate) sheet: Option<String>,
+}
+
+/// The options of the stages that encode, as far as they are names.
+#[derive(Deserialize)]
+struct Options {
+    sheet: Option<String>,
+    video: Option<Video>,
+}
+
+#[derive(Deserialize)]
+struct Video {
+    name: String,
+}
+
+impl FileNames {
+    /// Reads the names from a job's graph. A name that cannot be a file's is left out.
+    pub(crate) fn new(graph: &Graph) -> Self {
+        let encode = graph.stages.iter().find(|template| template.kind == StageKind::Encode);
+        let options = encode.and_then(|template| serde_json::from_str::<Options>(&template.options).ok());
+        let is_file = |name: &String| JobSpec::names_files(name) && !name.starts_with('.');
+        let Some(Options { sheet, video }) = options else { return Self::default() };
+        Self { clip: video.map(|video| video.name).filter(is_file), sheet: sheet.filter(is_file) }
+    }
+}
+
+/// Media type and usual extension of a clip or picture, by its first bytes.
+/// - `head`: 64 bytes or more, if the file has as many.
+pub(crate) fn media(head: &[u8]) -> (&'static str, &'static str) {
+    let at = |place: usize, bytes: &[u8]| head.get(place..).is_some_and(|rest| rest.starts_with(bytes));
+    let has = |bytes: &[u8]| head.windows(bytes.len()).any(|window| window == bytes);
+    match head {
+        // An animated PNG is a PNG, too.
+        _ if at(0, b"\x89PNG\r\n\x1a\n") => ("image/png", "png"),
+        _ if at(0, b"GIF8") => ("image/gif", "gif"),
+        _ if at(4, b"ftypavi") => ("image/avif", "avif"),
+        _ if at(4, b"ftypqt") => ("video/quicktime", "mov"),
+        _ if at(4, b"ftyp") => ("video/mp4", "mp4"),
+        // EBML, with the name of its format near the beginning.
+        _ if at(0, b"\x1a\x45\xdf\xa3") && has(b"webm") => ("video/webm", "webm"),
+        _ if at(0, b"\x1a\x45\xdf\xa3") => ("video/x-matroska", "mkv"),
+        _ if at(0, b"OggS") => ("video/ogg", "ogv"),
+        _ if at(0, b"RIFF") && at(8, b"WEBP") => ("image/webp", "webp"),
+        _ if at(0, b"RIFF") && at(8, b"AVI ") => ("video/x-msvideo", "avi"),
+        _ => ("application/octet-stream", "bin"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_bytes_of_a_clip_tell_its_media_type() {
+        for (head, kind) in [
+            (&b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"[..], "image/png"),
+            (b"GIF89a\x01\0", "image/gif"),
+            (b"\0\0\0\x20ftypisom\0\0\x02\0isomiso2avc1mp41", "video/mp4"),
+            (b"\0\0\0\x14ftypqt  \0\0\x02\0qt  ", "video/quicktime"),
+            (b"\x1a\x45\xdf\xa3\x9fB\x86\x81\x01B\xf7\x81\x01B\x82\x84webm", "video/webm"),
+            (b"\x1a\x45\xdf\xa3\x9fB\x86\x81\x01B\xf7\x81\x01B\x82\x88matroska", "video/x-matroska"),
+            (b"<html>", "application/octet-stream"),
+            (b"", "application/octet-stream"),
+        ] {
+            assert_eq!(media(head).0, kind, "{head:?}");
+        }
+    }
+}

@@ -1,0 +1,227 @@
+//! Results of jobs as files: whole or in parts, streamed from the store, so that an image of any size takes little memory.
+//!
+//! Bytes are read and checked before the first of them is sent, so that a damaged file is answered with an error and not with a
+//! broken download. This reads a file twice; the second time the operating system usually has it in memory. A part that begins
+//! later in the file, as players ask for while they seek, is sent without that check if the file came in or was read lately.
+
+use std::io;
+use std::ops::Range;
+
+use ::http::header::{
+    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, HeaderValue,
+};
+use ::http::{Method, Response, StatusCode};
+use bytes::Bytes;
+use femc_model::{Artifact, JobId};
+use femc_store::{Soundness, Store, StoreError};
+use futures_util::Stream;
+use futures_util::stream::unfold;
+
+use super::answer::{self, Body};
+use super::fault::Fault;
+use super::range::{self, Wanted};
+use super::{Asked, Http};
+use crate::access::{Place, Who};
+use crate::call::{Call, JobShape};
+use crate::farm::Farm;
+use crate::file::{File, FrameFile, media};
+use crate::steer::store_refusal;
+
+/// Bytes of a file that tell its media type.
+const HEAD: u64 = 64;
+
+impl<S: Send + 'static> Http<S> {
+    /// Answers with a result of a job, or with a part of it.
+    pub(super) async fn download(
+        &self,
+        asked: &Asked<'_>,
+        job: JobId,
+        file: File,
+        who: Who,
+    ) -> Result<Response<Body>, Fault> {
+        let JobShape { spec, .. } = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
+        let records = self.0.farm.ask(|reply| Call::Frames { job, reply }).await?;
+        let artifact = file.artifact(&spec, &records).ok_or_else(|| Fault::NotMade { job, file: file.describe() })?;
+        let tag = format!("\"{}\"", artifact.digest);
+        if range::is_known(asked.headers, &tag) {
+            return Ok(cached(answer::empty(StatusCode::NOT_MODIFIED), &tag));
+        }
+        let is_head = *asked.method == Method::HEAD;
+        // Ranges are defined for GET alone.
+        let wanted = if is_head { Wanted::Whole } else { range::wanted(asked.headers, artifact.bytes, &tag) };
+        let place = self.0.places.take(who).await;
+        let is_sound = match &wanted {
+            _ if is_head => self.0.store.size(&artifact.digest).await.map(|size| size == Some(artifact.bytes)),
+            Wanted::Beyond => Ok(true),
+            Wanted::Part(part) if part.start > 0 => self.0.store.known(&artifact).await.map(is_sound),
+            Wanted::Part(_) | Wanted::Whole => self.0.store.verify(&artifact.digest).await.map(is_sound),
+        };
+        let media = match is_sound {
+            Ok(true) => self.media(file, &artifact).await,
+            Ok(false) => Err(StoreError::Missing { digest: artifact.digest }),
+            Err(error) => Err(error),
+        };
+        let (kind, extension) = match media {
+            Ok(media) => media,
+            Err(error) => return Err(self.unreadable(job, file, &artifact, &error).await),
+        };
+        let (status, part) = match wanted {
+            Wanted::Whole => (StatusCode::OK, 0..artifact.bytes),
+            Wanted::Part(part) => (StatusCode::PARTIAL_CONTENT, part),
+            Wanted::Beyond => return Err(Fault::Range { length: artifact.bytes }),
+        };
+        let length = part.end - part.start;
+        let mut response = if is_head {
+            let mut response = answer::empty(status);
+            response.headers_mut().insert(CONTENT_LENGTH, length.into());
+            response
+        } else {
+            let (store, farm) = (self.0.store.clone(), self.0.farm.clone());
+            let mut sending = Sending { store, farm, artifact, part: part.clone(), block: Bytes::new(), _place: place };
+            // The first block before the status: a file that is gone is answered with an error.
+            match sending.fill().await {
+                Ok(()) => answer::stream(status, length, pieces(sending)),
+                Err(error) => return Err(self.unreadable(job, file, &artifact, &error).await),
+            }
+        };
+        let headers = response.headers_mut();
+        headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
+        headers.insert(ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+        if status == StatusCode::PARTIAL_CONTENT {
+            let range = format!("bytes {}-{}/{}", part.start, part.end - 1, artifact.bytes);
+            headers.extend(HeaderValue::try_from(range).ok().map(|range| (CONTENT_RANGE, range)));
+        }
+        let disposition = HeaderValue::try_from(disposition(&file.name(&spec, extension)));
+        headers.extend(disposition.ok().map(|disposition| (CONTENT_DISPOSITION, disposition)));
+        Ok(cached(response, &tag))
+    }
+
+    /// Media type and usual extension of a result.
+    async fn media(&self, file: File, artifact: &Artifact) -> Result<(&'static str, &'static str), StoreError> {
+        match file {
+            File::Frame(_, FrameFile::Image | FrameFile::Layers) => Ok(("image/x-exr", "exr")),
+            File::Frame(_, FrameFile::Statistics) => Ok(("application/octet-stream", "paths")),
+            File::Sheet | File::Frame(..) => Ok(("image/png", "png")),
+            File::Clip => {
+                let head = self.0.store.part(&artifact.digest, 0..artifact.bytes.min(HEAD)).await;
+                Ok(media(&head?))
+            }
+        }
+    }
+
+    /// Explains why a result cannot be read. One that is damaged or gone is made again.
+    async fn unreadable(&self, job: JobId, file: File, artifact: &Artifact, error: &StoreError) -> Fault {
+        match error {
+            StoreError::Missing { .. } | StoreError::Mismatch { .. } => {
+                report_unless_sound(&self.0.store, &self.0.farm, artifact).await;
+                Fault::Lost { job, file: file.describe() }
+            }
+            StoreError::Unsound { .. }
+            | StoreError::TooLarge { .. }
+            | StoreError::Url { .. }
+            | StoreError::Medium { .. } => store_refusal(error).into(),
+        }
+    }
+}
+
+fn is_sound(found: Soundness) -> bool {
+    matches!(found, Soundness::Sound(_))
+}
+
+/// Reads an artifact once more and tells the farm if it is not as it should be.
+async fn report_unless_sound<S>(store: &Store, farm: &Farm<S>, artifact: &Artifact) {
+    if matches!(store.verify(&artifact.digest).await, Ok(Soundness::Damaged | Soundness::Missing)) {
+        farm.lost(artifact.digest).await;
+    }
+}
+
+fn cached(mut response: Response<Body>, tag: &str) -> Response<Body> {
+    let headers = response.headers_mut();
+    // A digest in hexadecimal is good for a header.
+    headers.extend(HeaderValue::try_from(tag).ok().map(|tag| (ETAG, tag)));
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+    response
+}
+
+/// A file on its way to a client.
+struct Sending<S> {
+    store: Store,
+    farm: Farm<S>,
+    artifact: Artifact,
+    /// The part of it that has not been read.
+    part: Range<u64>,
+    /// Bytes that were read and not sent.
+    block: Bytes,
+    /// Held until all is sent, or the client is gone.
+    _place: Place,
+}
+
+impl<S> Sending<S> {
+    /// Reads the next block, if all that was read is sent.
+    async fn fill(&mut self) -> Result<(), StoreError> {
+        if self.block.is_empty() && !self.part.is_empty() {
+            let end = self.part.end.min(self.part.start + Store::READ);
+            self.block = self.store.part(&self.artifact.digest, self.part.start..end).await?;
+            self.part.start = end;
+        }
+        Ok(())
+    }
+}
+
+/// The pieces of a file; the last of them is an error if the rest cannot be read.
+fn pieces<S: Send + 'static>(sending: Sending<S>) -> impl Stream<Item = io::Result<Bytes>> + Send + 'static {
+    /// Bytes that are handed on at a time.
+    const PIECE: usize = 256 << 10;
+    unfold(Some(sending), |sending| async {
+        let mut sending = sending?;
+        if let Err(error) = sending.fill().await {
+            tracing::warn!(digest = %sending.artifact.digest, %error, "a download is broken off");
+            report_unless_sound(&sending.store, &sending.farm, &sending.artifact).await;
+            return Some((Err(io::Error::other(error.to_string())), None));
+        }
+        let block = &mut sending.block;
+        let piece = block.split_to(block.len().min(PIECE));
+        (!piece.is_empty()).then_some((Ok(piece), Some(sending)))
+    })
+}
+
+/// A header that has browsers keep the answer under this name (RFC 6266), whatever characters it has: programs that do not know
+/// the second form get one in ASCII.
+fn disposition(name: &str) -> String {
+    let is_plain = |c: char| c == ' ' || (c.is_ascii_graphic() && !matches!(c, '"' | '\\' | '%' | '/'));
+    let plain: String = name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect();
+    if plain == name {
+        return format!("attachment; filename=\"{plain}\"");
+    }
+    let mut encoded = String::new();
+    for byte in name.replace(['/', '\\'], "_").bytes() {
+        // Characters that RFC 8187 lets stand for themselves.
+        if byte.is_ascii_alphanumeric() || b"!#$&+-.^_`|~".contains(&byte) {
+            encoded.push(char::from(byte));
+        } else {
+            encoded.push_str(&format!("%{byte:02X}"));
+        }
+    }
+    format!("attachment; filename=\"{plain}\"; filename*=UTF-8''{encoded}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_name_is_a_header_of_one_line_that_leads_to_no_other_folder() {
+        for (name, due) in [
+            ("drive.0003.exr", "attachment; filename=\"drive.0003.exr\""),
+            ("night drive; 2.png", "attachment; filename=\"night drive; 2.png\""),
+            ("a\"b.png", "attachment; filename=\"a_b.png\"; filename*=UTF-8''a%22b.png"),
+            ("50%.png", "attachment; filename=\"50_.png\"; filename*=UTF-8''50%25.png"),
+            ("Straße.png", "attachment; filename=\"Stra_e.png\"; filename*=UTF-8''Stra%C3%9Fe.png"),
+            ("../x.png", "attachment; filename=\".._x.png\"; filename*=UTF-8''.._x.png"),
+            ("a\r\nb.png", "attachment; filename=\"a__b.png\"; filename*=UTF-8''a%0D%0Ab.png"),
+        ] {
+            assert_eq!(disposition(name), due);
+            assert!(HeaderValue::try_from(due).is_ok(), "{name}");
+        }
+    }
+}

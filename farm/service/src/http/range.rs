@@ -1,0 +1,122 @@
+//! Parts of a file, and conditions on it (RFC 9110, 13 and 14).
+
+use std::ops::Range;
+
+use ::http::HeaderMap;
+use ::http::header::{IF_NONE_MATCH, IF_RANGE, RANGE};
+
+/// The part of a file that a request asks for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Wanted {
+    /// All of it.
+    Whole,
+    /// These bytes.
+    Part(Range<u64>),
+    /// A part that begins behind the end.
+    Beyond,
+}
+
+/// The part of a file of `length` bytes that a request asks for. Of several ranges, or of one in another form, the answer is the
+/// whole file, which the standard allows.
+/// - `tag`: of the file, in quotes.
+pub(super) fn wanted(headers: &HeaderMap, length: u64, tag: &str) -> Wanted {
+    let is_current = headers.get(IF_RANGE).is_none_or(|known| known.as_bytes() == tag.as_bytes());
+    let range = headers.get(RANGE).filter(|_| is_current).and_then(|range| range.to_str().ok());
+    range.and_then(|range| parse(range, length)).unwrap_or(Wanted::Whole)
+}
+
+fn parse(text: &str, length: u64) -> Option<Wanted> {
+    let (unit, range) = text.trim().split_once('=')?;
+    let (first, last) = range.trim().split_once('-')?;
+    if !unit.trim().eq_ignore_ascii_case("bytes") {
+        return None;
+    }
+    let number = |text: &str| {
+        let is_number = !text.is_empty() && text.bytes().all(|digit| digit.is_ascii_digit());
+        // Digits that are too many for the type stand for a number behind any end.
+        is_number.then(|| text.parse().unwrap_or(u64::MAX))
+    };
+    let (begin, end) = if first.is_empty() {
+        let count = number(last)?;
+        if count == 0 {
+            return Some(Wanted::Beyond);
+        }
+        (length.saturating_sub(count), length)
+    } else {
+        let begin = number(first)?;
+        let end = if last.is_empty() { length } else { number(last)?.saturating_add(1) };
+        if end <= begin && !last.is_empty() {
+            return None;
+        }
+        (begin, end.min(length))
+    };
+    Some(if begin < length { Wanted::Part(begin..end) } else { Wanted::Beyond })
+}
+
+/// Whether the client has the file of this tag.
+pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
+    let lists = headers.get_all(IF_NONE_MATCH).into_iter().filter_map(|list| list.to_str().ok());
+    let mut tags = lists.flat_map(|list| list.split(','));
+    tags.any(|known| matches!(known.trim(), "*") || known.trim().trim_start_matches("W/") == tag)
+}
+
+#[cfg(test)]
+mod tests {
+    use ::http::HeaderValue;
+
+    use super::*;
+
+    #[test]
+    fn one_range_is_a_part_and_anything_else_the_whole_or_beyond_the_end() {
+        for (text, due) in [
+            ("bytes=0-", Wanted::Part(0..10)),
+            ("bytes=0-0", Wanted::Part(0..1)),
+            ("bytes=3-5", Wanted::Part(3..6)),
+            ("BYTES = 3-5", Wanted::Part(3..6)),
+            ("bytes=3-99", Wanted::Part(3..10)),
+            ("bytes=9-", Wanted::Part(9..10)),
+            ("bytes=3-99999999999999999999999", Wanted::Part(3..10)),
+            ("bytes=-4", Wanted::Part(6..10)),
+            ("bytes=-99", Wanted::Part(0..10)),
+            ("bytes=-0", Wanted::Beyond),
+            ("bytes=10-", Wanted::Beyond),
+            ("bytes=10-12", Wanted::Beyond),
+            ("bytes=99999999999999999999999-", Wanted::Beyond),
+            ("bytes=5-3", Wanted::Whole),
+            ("bytes=0-1,3-4", Wanted::Whole),
+            ("bytes=-", Wanted::Whole),
+            ("bytes=+1-2", Wanted::Whole),
+            ("bytes=a-b", Wanted::Whole),
+            ("frames=1-2", Wanted::Whole),
+            ("", Wanted::Whole),
+        ] {
+            let mut headers = HeaderMap::new();
+            headers.insert(RANGE, HeaderValue::from_static(text));
+            assert_eq!(wanted(&headers, 10, "\"a\""), due, "{text}");
+            headers.insert(IF_RANGE, HeaderValue::from_static("\"a\""));
+            assert_eq!(wanted(&headers, 10, "\"a\""), due, "{text} of the file that the client has");
+            headers.insert(IF_RANGE, HeaderValue::from_static("\"b\""));
+            assert_eq!(wanted(&headers, 10, "\"a\""), Wanted::Whole, "{text} of another file");
+        }
+        let mut headers = HeaderMap::new();
+        headers.insert(RANGE, HeaderValue::from_static("bytes=0-"));
+        assert_eq!(wanted(&headers, 0, "\"a\""), Wanted::Beyond, "an empty file has no part");
+    }
+
+    #[test]
+    fn a_tag_is_known_alone_or_in_a_list_and_weak_or_strong() {
+        for (text, due) in [
+            ("\"a\"", true),
+            ("W/\"a\"", true),
+            ("\"b\", \"a\"", true),
+            ("*", true),
+            ("\"b\"", false),
+            ("a", false),
+            ("", false),
+        ] {
+            let mut headers = HeaderMap::new();
+            headers.insert(IF_NONE_MATCH, HeaderValue::from_static(text));
+            assert_eq!(is_known(&headers, "\"a\""), due, "{text}");
+        }
+    }
+}

@@ -15,6 +15,8 @@ pub struct JobStatus {
     pub name: String,
     /// Name of the owner who submitted the job.
     pub owner: String,
+    /// Path of the scene file within its bundle.
+    pub scene: String,
     /// Notes that it was submitted with.
     pub notes: JobNotes,
     /// 0..=100.

@@ -46,6 +46,7 @@ impl Scheduler {
             job: id,
             name: spec.name.clone(),
             owner: spec.owner.clone(),
+            scene: spec.entry.clone(),
             notes: spec.notes.clone(),
             priority: spec.priority,
             state: self.state(job, began.is_some()),

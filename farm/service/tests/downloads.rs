@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 
 use bytes::Bytes;
 use femc_model::{
-    Artifact, Cut, Digest, FrameRecord, Graph, Grid, JobId, JobSpec, Output, Refusal, Role, Scope, Sizes, StageKind,
-    Template,
+    Artifact, Cut, Digest, FrameRecord, Graph, Grid, JobId, JobNotes, JobSpec, Output, Refusal, Role, Scope, Sizes,
+    StageKind, Template,
 };
 use femc_service::{Call, Farm, Gate, Http, JobShape, Limits, Places, Site, Visitor};
 use femc_store::object_store::ObjectStoreExt as _;
@@ -63,6 +63,7 @@ fn spec(name: &str) -> JobSpec {
         priority: 50,
         owner: "me".into(),
         tags: Vec::new(),
+        notes: JobNotes::default(),
     }
 }
 

@@ -41,6 +41,7 @@ impl From<JobStatus> for wire::JobStatus {
             comment,
             labels,
             notify,
+            scene: status.scene,
         }
     }
 }
@@ -53,6 +54,7 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             job: JobId(wire.job),
             name: wire.name,
             owner: wire.owner,
+            scene: wire.scene,
             notes: job::notes(wire.comment, wire.labels, wire.notify)?,
             priority: job::priority(wire.priority)?,
             state: job::state(wire.state)?,

@@ -274,6 +274,7 @@ fn statuses_cross_the_wire() {
             job: JobId(7),
             name: "fog".into(),
             owner: "me".into(),
+            scene: "a/fog.mgf".into(),
             notes: notes(),
             priority: 50,
             state,

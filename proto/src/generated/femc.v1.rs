@@ -698,6 +698,9 @@ pub struct JobStatus {
     /// URL to which a message is posted when it has ended; absent: none.
     #[prost(string, optional, tag = "27")]
     pub notify: ::core::option::Option<::prost::alloc::string::String>,
+    /// Path of the scene file within its bundle.
+    #[prost(string, tag = "28")]
+    pub scene: ::prost::alloc::string::String,
 }
 /// Blocks of 16 x 16 pixels of a measured frame.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

@@ -40,9 +40,8 @@ const KEYS: Record<SortKey, (job: Job) => number | string> = {
 };
 
 /**
- * Whether a job fits a filter: all its words must. `owner:ann`, `state:failed`, `name:drive`, a number of a job, or
- * a part of name or
- * owner; a word that begins with `-` must not fit.
+ * Whether a job fits a filter: all its words must. `owner:ann`, `state:failed`, `name:drive`, `label:shot=12`, a number of a
+ * job, or a part of name, owner or comment; a word that begins with `-` must not fit.
  */
 export function matches(job: Job, filter: string): boolean {
   return filter
@@ -59,8 +58,16 @@ function fits(job: Job, word: string): boolean {
   const [key, value] = [word.slice(0, Math.max(colon, 0)), word.slice(colon + 1)];
   if (key === 'owner') return job.owner.toLowerCase().startsWith(value);
   if (key === 'state') return value.split(',').includes(job.state);
+  if (key === 'label') {
+    const [label, wanted] = value.split('=');
+    return Object.entries(job.labels).some(
+      ([name, known]) => name.toLowerCase() === label && (wanted === undefined || known.toLowerCase() === wanted),
+    );
+  }
   if (key === 'name') return job.name.toLowerCase().includes(value);
-  return String(job.job) === word || job.name.toLowerCase().includes(word) || job.owner.toLowerCase().includes(word);
+  return (
+    String(job.job) === word || [job.name, job.owner, job.comment].some((text) => text.toLowerCase().includes(word))
+  );
 }
 
 export interface Order {
@@ -90,9 +97,9 @@ export type Grouping = 'none' | 'scene' | 'owner' | 'state';
 /** A heading, or a job under it. */
 export type Line = { kind: 'group'; key: string; jobs: Job[] } | { kind: 'job'; job: Job };
 
-/** What jobs of a group have in common; a job has its scene's name, and so have all variants of a sweep. */
+/** What jobs of a group have in common. */
 const GROUPS: Record<Exclude<Grouping, 'none'>, (job: Job) => string> = {
-  scene: (job) => job.name,
+  scene: (job) => job.scene,
   owner: (job) => job.owner,
   state: (job) => job.state,
 };

@@ -38,6 +38,13 @@ export interface Job {
   name: string;
   state: JobState;
   owner: string;
+  /** Path of the scene file. */
+  scene: string;
+  /** A line for people; empty: none. */
+  comment: string;
+  labels: Record<string, string>;
+  /** URL to which a message is posted at its end. */
+  notify: string | null;
   /** 0..100; greater goes first. */
   priority: number;
   frames: number;
@@ -213,7 +220,7 @@ export interface Done<T> {
   refused: Refused[];
 }
 
-export type JobAction = 'pause' | 'resume' | 'cancel' | 'retry' | 'priority';
+export type JobAction = 'pause' | 'resume' | 'cancel' | 'retry' | 'priority' | 'delete';
 
 export interface AuditLine {
   time?: string;

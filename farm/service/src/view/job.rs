@@ -14,6 +14,8 @@ pub struct JobJson {
     name: String,
     state: &'static str,
     owner: String,
+    /// Path of the scene file within its bundle.
+    scene: String,
     /// A line for people; empty: none.
     comment: String,
     labels: BTreeMap<String, String>,
@@ -76,6 +78,7 @@ impl From<&JobStatus> for JobJson {
             name: job.name.clone(),
             state: job.state.name(),
             owner: job.owner.clone(),
+            scene: job.scene.clone(),
             comment: job.notes.comment.clone(),
             labels: job.notes.labels.clone(),
             notify: job.notes.notify.clone(),
@@ -231,6 +234,7 @@ mod tests {
             job: JobId(7),
             name: "walk".to_owned(),
             owner: "ann".to_owned(),
+            scene: "walk.mgf".to_owned(),
             notes: JobNotes::default(),
             priority: 50,
             state: JobState::Failed,

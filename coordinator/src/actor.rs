@@ -26,6 +26,7 @@ use crate::execute::Watched;
 use crate::janitor::Janitor;
 use crate::metrics::{Metrics, Now};
 use crate::session::{self, Worker};
+use crate::target::Targets;
 use crate::wait::{Doors, Pending};
 
 /// The subject of the note of who has been there; others are numbers of jobs, which begin with 1.
@@ -94,6 +95,8 @@ pub(crate) struct Actor<Q> {
     facts: Vec<(Tick, Fact)>,
     /// What attempts took, not durable yet.
     attempts: Ended,
+    /// What jobs are to reach.
+    pub(crate) targets: Targets,
     /// Who has been there.
     pub(crate) roster: Roster,
     /// Whether it says what its note does not.
@@ -167,6 +170,7 @@ impl<Q: Queue> Actor<Q> {
             janitor: Janitor::default(),
             facts: Vec::new(),
             attempts: Ended::default(),
+            targets: Targets::default(),
             roster,
             is_roster_new: false,
             roster_from: Instant::now() + Self::ROSTER,
@@ -252,6 +256,7 @@ impl<Q: Queue> Actor<Q> {
             match command {
                 Command::Record(fact) => {
                     self.attempts.on_fact(&fact);
+                    self.targets.on_fact(&fact);
                     self.facts.push((now, fact));
                 }
                 Command::Note(attempt) => self.attempts.put(*attempt),
@@ -472,11 +477,15 @@ impl<Q: Queue> Actor<Q> {
         for question in std::mem::take(&mut self.questions) {
             match question {
                 Question::List(reply) => {
-                    let (jobs, warnings) = (self.scheduler.jobs(now), self.disks.warnings());
+                    let jobs = self.scheduler.jobs(now).into_iter();
+                    let jobs = jobs.map(|status| self.targets.fill(&self.scheduler, status)).collect();
+                    let warnings = self.disks.warnings();
                     drop(reply.send(Ok(Listing { jobs, warnings })));
                 }
                 Question::Changes(news, reply) => drop(reply.send(Ok(self.changes(news)))),
-                Question::Status(job, reply) => drop(reply.send(self.scheduler.status(job, now))),
+                Question::Status(job, reply) => {
+                    drop(reply.send(self.targets.status(&self.scheduler, job, now)));
+                }
                 Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
                 Question::Parts(job, reply) => drop(reply.send(self.scheduler.parts(job))),
                 Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
@@ -546,6 +555,7 @@ impl<Q: Queue> Actor<Q> {
         let touched = self.touched.replace(BTreeSet::new()).filter(|_| news == News::Changes);
         let is_wanted = |job| touched.as_ref().is_none_or(|touched| touched.contains(&job));
         let (jobs, there) = self.scheduler.changed_jobs(is_wanted, now);
+        let jobs = jobs.into_iter().map(|status| self.targets.fill(&self.scheduler, status)).collect();
         Changes { jobs, there, workers: self.crew(), warnings: self.disks.warnings() }
     }
 

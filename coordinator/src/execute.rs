@@ -95,7 +95,7 @@ impl<Q: Queue> Actor<Q> {
     /// A job's status now, and from now on.
     pub(crate) fn watch(&mut self, job: JobId) -> Result<watch::Receiver<JobStatus>, Refusal> {
         let now = self.clock.now();
-        let status = self.scheduler.status(job, now)?;
+        let status = self.targets.status(&self.scheduler, job, now)?;
         if let Some(watched) = self.watched.get(&job) {
             watched.statuses.send_replace(status);
             return Ok(watched.statuses.subscribe());
@@ -108,14 +108,14 @@ impl<Q: Queue> Actor<Q> {
     /// Sends the statuses of jobs that changed, none too often, an end at once.
     fn notify(&mut self) {
         let now = self.clock.now();
-        let (scheduler, watched) = (&self.scheduler, &mut self.watched);
+        let (scheduler, watched, targets) = (&self.scheduler, &mut self.watched, &mut self.targets);
         self.changed.retain(|&job| {
             let Some(watched) = watched.get_mut(&job) else { return false };
             let is_due = now.since(watched.sent) >= Self::PAUSE;
             if !is_due && !scheduler.has_ended(job) {
                 return true;
             }
-            if let Ok(status) = scheduler.status(job, now) {
+            if let Ok(status) = targets.status(scheduler, job, now) {
                 watched.send(status, now);
             }
             false
@@ -125,9 +125,9 @@ impl<Q: Queue> Actor<Q> {
     /// Sends statuses also where only time went by: samples a second, seconds.
     pub(crate) fn refresh_watched(&mut self) {
         let now = self.clock.now();
-        let scheduler = &self.scheduler;
+        let (scheduler, targets) = (&self.scheduler, &mut self.targets);
         self.watched.retain(|&job, watched| {
-            let Ok(status) = scheduler.status(job, now) else { return false };
+            let Ok(status) = targets.status(scheduler, job, now) else { return false };
             if now.since(watched.sent) >= 4 * Self::PAUSE && !status.state.has_ended() {
                 watched.send(status, now);
             }

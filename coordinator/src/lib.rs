@@ -20,6 +20,7 @@ mod lead;
 mod metrics;
 mod session;
 mod start;
+mod target;
 mod wait;
 
 pub use actor::ROSTER;

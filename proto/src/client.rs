@@ -182,7 +182,15 @@ impl Client {
 
     /// The finished frames of a job, ascending.
     pub async fn frames(&self, job: JobId) -> Result<Vec<FrameRecord>, CallError> {
-        let request = wire::FramesRequest { job: job.0 };
+        self.ask_frames(wire::FramesRequest { job: job.0, times: false }).await
+    }
+
+    /// The finished frames of a job, ascending, with the times of their attempts. An older coordinator leaves the times out.
+    pub async fn frames_with_times(&self, job: JobId) -> Result<Vec<FrameRecord>, CallError> {
+        self.ask_frames(wire::FramesRequest { job: job.0, times: true }).await
+    }
+
+    async fn ask_frames(&self, request: wire::FramesRequest) -> Result<Vec<FrameRecord>, CallError> {
         let reply = self.jobs().frames(request).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().frames)?)
     }

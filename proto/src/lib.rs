@@ -24,6 +24,7 @@ mod wire;
 pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
 pub use error::{BackupError, CallError, IdentityError, ServeError, Why};
+pub use femc_service::view::error_target;
 pub use femc_service::{AttemptPage, Backup, Changes, Files, JobShape, Limits, Listing, News, References, Reply, Site};
 pub use look::{Found, look};
 pub use net::{Dial, Dialing, Io, Link};

@@ -166,6 +166,11 @@ impl Farm {
         Ok(frames)
     }
 
+    /// The finished frames of a job, ascending, with the times of their attempts, where the coordinator knows them.
+    pub async fn frames_with_times(&self, job: JobId) -> Result<Vec<FrameRecord>, Failure> {
+        self.client.frames_with_times(job).await.map_err(map_call_error)
+    }
+
     /// A job as it was submitted.
     pub async fn spec(&self, job: JobId) -> Result<JobSpec, Failure> {
         self.client.spec(job).await.map_err(map_call_error)

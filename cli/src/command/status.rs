@@ -3,17 +3,20 @@
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
-use crate::output::job::{JobJson, describe, wait};
+use crate::output::job::{JobJson, describe, slowest, slowest_words, wait};
 use crate::output::{Say, json};
 use clap::Args;
 use femc_model::JobId;
+use serde::Serialize;
 
 /// Show where a job stands
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc status 7\n  \
     femc status 7 --why\n  \
-    femc status 7 --json | jq .frames_done")]
+    femc status 7 --json | jq .frames_done\n\n\
+    The slowest frame is the finished one whose attempts took the most processor time; waiting for other tasks and jobs does not \
+    count. `femc stats 7` lists all frames.")]
 pub struct StatusArgs {
     /// The job's number, as `submit` printed it
     #[arg(value_name = "JOB")]
@@ -27,14 +30,44 @@ pub struct StatusArgs {
     server: ServerArgs,
 }
 
+/// A job as `femc jobs --json` has it, and its slowest frame.
+#[derive(Serialize)]
+struct StatusJson {
+    #[serde(flatten)]
+    job: JobJson,
+    slowest_frame: Option<SlowestFrame>,
+}
+
+/// The finished frame whose attempts took the most processor time.
+#[derive(Serialize)]
+struct SlowestFrame {
+    frame: u32,
+    processor_seconds: f64,
+    wall_seconds: f64,
+    waiting_seconds: f64,
+}
+
 /// Show.
 pub fn run(args: &StatusArgs, say: Say) -> Result<Exit, Failure> {
-    let job = client::block_on(&args.server, async |farm| farm.status(JobId(args.job)).await)?;
+    let (job, frames) = client::block_on(&args.server, async |farm| {
+        let job = farm.status(JobId(args.job)).await?;
+        Ok((job, farm.frames_with_times(JobId(args.job)).await?))
+    })?;
+    let slowest = slowest(&frames);
     if args.format.json {
-        json::print(say, &JobJson::from(&job))?;
+        let slowest_frame = slowest.map(|(frame, times)| SlowestFrame {
+            frame,
+            processor_seconds: times.processor,
+            wall_seconds: times.wall,
+            waiting_seconds: times.waiting,
+        });
+        json::print(say, &StatusJson { job: JobJson::from(&job), slowest_frame })?;
         return Ok(Exit::Done);
     }
     say.result(describe(say, &job));
+    if let Some((frame, times)) = slowest.filter(|_| job.frames_total > 1) {
+        say.result(format!("slowest  {}", slowest_words(frame, &times)));
+    }
     if args.why {
         if job.waits.is_empty() {
             say.result("nothing of it waits");

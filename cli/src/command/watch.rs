@@ -11,6 +11,7 @@ use crate::output::job::JobJson;
 use crate::output::{Progress, Say, Stage, human, job as show, json};
 use clap::{Args, ValueEnum};
 use femc_model::{FrameRecord, JobId, JobStatus};
+use femc_service::view::above_target;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -235,6 +236,9 @@ fn ended(args: &WatchArgs, say: Say, job: &JobStatus) -> Result<Exit, Failure> {
     match show::exit(job.state) {
         Some(Exit::Done) => {
             let frames = human::count(job.frames_total.into(), "frame");
+            if above_target(job).is_some() {
+                show::error(job).into_iter().for_each(|error| say.note(error));
+            }
             let line = format!("job {} is done: {frames} in {}", job.job, human::seconds(job.seconds));
             if args.json {
                 say.note(line);

@@ -2,10 +2,10 @@
 
 use super::{Say, Snapshot, human};
 use crate::exit::Exit;
-use femc_model::{FrameProgress, JobState, JobStatus, Stage};
+use femc_model::{FrameProgress, FrameRecord, FrameStop, JobState, JobStatus, Stage, Times};
 use femc_pipeline::Stop;
-use femc_service::view::unit;
 pub use femc_service::view::{JobJson, wait};
+use femc_service::view::{above_target, unit};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The exit code of a job that has ended; `None` while it goes on.
@@ -30,6 +30,7 @@ pub fn snapshot(job: &JobStatus, stop: Option<Stop>) -> Snapshot {
         samples: job.samples_done,
         fraction: (f64::from(job.frames_done) + in_work.min(open)) / f64::from(job.frames_total.max(1)),
         relative_error: job.relative_error,
+        worst_frame: job.worst_frame.map(|worst| worst.frame).filter(|_| job.frames_total > 1),
         blocks: job.blocks,
     }
 }
@@ -77,6 +78,42 @@ fn age(job: &JobStatus) -> Option<String> {
     Some(human::seconds(age.as_secs_f64()))
 }
 
+/// The error of a job's worst frame in words: `relative error 7.10 % in frame 3, above the target of 5.00 %: still rendering`; `None`: no
+/// frame was measured.
+pub fn error(job: &JobStatus) -> Option<String> {
+    let mut text = super::error::words(job.relative_error, job.blocks)?;
+    if let Some(worst) = job.worst_frame {
+        text += &format!(" in frame {}", worst.frame);
+    }
+    let Some(target) = job.error_target.filter(|_| job.relative_error.is_some()) else { return Some(text) };
+    let target = human::percent(target);
+    text += &match above_target(job) {
+        None => format!(", within the target of {target}"),
+        Some(FrameStop::Unknown) => format!(", above the target of {target}"),
+        Some(FrameStop::Rendering) => format!(", above the target of {target}: still rendering"),
+        Some(FrameStop::Limit) => {
+            format!(", above the target of {target}: the frame has all samples that a frame may take")
+        }
+        Some(FrameStop::Estimate) => {
+            format!(", above the target of {target}: it stopped by an estimate, which may miss the target by a little")
+        }
+    };
+    Some(text)
+}
+
+/// The finished frame whose attempts took the most processor time.
+pub fn slowest(frames: &[FrameRecord]) -> Option<(u32, Times)> {
+    let times = frames.iter().filter(|record| record.frame != Stage::OF_JOB);
+    let times = times.filter_map(|record| Some((record.frame, record.times?)));
+    times.reduce(|slowest, next| if next.1.processor > slowest.1.processor { next } else { slowest })
+}
+
+/// The slowest frame in words: `frame 3: 8.10 s of processor time, 9.20 s at workers, 42.0 s waiting`.
+pub fn slowest_words(frame: u32, times: &Times) -> String {
+    let [processor, wall, waiting] = [times.processor, times.wall, times.waiting].map(human::seconds);
+    format!("frame {frame}: {processor} of processor time, {wall} at workers, {waiting} waiting")
+}
+
 /// All about one job.
 pub fn describe(say: Say, job: &JobStatus) -> String {
     let mut lines = vec![say.heading(&format!("job {} ({}): {}", job.job, job.name, job.state.name()))];
@@ -89,10 +126,8 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
     if job.samples_per_second > 0.0 {
         samples += &format!(", {} a second", human::quantity(job.samples_per_second));
     }
-    if let Some(error) = super::error::words(job.relative_error, job.blocks) {
-        samples += &format!(", {error}");
-    }
     lines.push(samples);
+    lines.extend(error(job).map(|error| format!("error    {error}")));
     if job.bad_samples > 0 {
         lines.push(say.doubtful(&format!("         {} left out: not finite", human::count(job.bad_samples, "sample"))));
     }

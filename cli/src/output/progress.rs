@@ -25,8 +25,10 @@ pub struct Snapshot {
     pub samples: u64,
     /// The part of the work that is done, 0..=1, as well as it is known.
     pub fraction: f64,
-    /// Relative error of the frame measured last.
+    /// Relative error of the worst frame so far.
     pub relative_error: Option<f64>,
+    /// Number of that frame; `None`: the job has one frame, or none was measured.
+    pub worst_frame: Option<u32>,
     /// Blocks of that frame.
     pub blocks: Option<Blocks>,
 }
@@ -164,6 +166,9 @@ fn line(first: &Snapshot, now: &Snapshot, elapsed: Duration) -> String {
         text += ", no light met";
     } else if let Some(error) = now.relative_error.filter(|error| error.is_finite()) {
         text += &format!(", error {}", human::percent(error));
+        if let Some(frame) = now.worst_frame {
+            text += &format!(" in frame {frame}");
+        }
     }
     if now.fraction > first.fraction && now.fraction < 1.0 && seconds > 0.5 {
         let left = seconds * (1.0 - now.fraction) / (now.fraction - first.fraction);
@@ -181,6 +186,13 @@ mod tests {
         let first = Snapshot { frames: 4, frames_done: 2, fraction: 0.5, samples: 1_000_000, ..Snapshot::default() };
         let now = Snapshot { frames_done: 3, fraction: 0.75, samples: 3_000_000, tiles_done: 3, tiles: 8, ..first };
         assert_eq!(line(&first, &now, Duration::from_secs(10)), "frame 3/4, tile 3/8, 200 k samples/s, 10.0 s left");
+    }
+
+    #[test]
+    fn the_error_of_a_job_names_its_worst_frame() {
+        let first = Snapshot { frames: 4, ..Snapshot::default() };
+        let now = Snapshot { relative_error: Some(0.071), worst_frame: Some(3), ..first };
+        assert_eq!(line(&first, &now, Duration::ZERO), "frame 0/4, tile 0/0, error 7.10 % in frame 3");
     }
 
     #[test]

@@ -13,7 +13,8 @@ pub struct JobSpec {
     pub bundle: Digest,
     /// Path of the scene file within the bundle.
     pub entry: String,
-    /// The render settings as JSON; only the worker and the command line look inside.
+    /// The render settings as JSON; only the worker and the command line look inside. The coordinator reads the error that frames are
+    /// to reach, to show it.
     pub settings: String,
     /// Frame numbers, strictly ascending.
     pub frames: Vec<u32>,

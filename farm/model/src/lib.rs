@@ -47,8 +47,9 @@ pub use session::{
 };
 pub use since::{reading_version, since_version_9, since_version_10};
 pub use status::{
-    Crew, Drain, FrameProgress, Intake, JobStatus, OfflineWorker, Quarantined, Wait, WorkerName, WorkerStatus,
+    Crew, Drain, FrameProgress, FrameStop, Intake, JobStatus, OfflineWorker, Quarantined, Wait, WorkerName,
+    WorkerStatus, WorstFrame,
 };
 pub use table::{FrameStatus, TaskFilter, TaskPage, TaskState, TaskStatus};
 pub use task::{Assignment, Input, More, NoTaskKey, Output, Stage, TaskKey, Work};
-pub use usage::{AttemptRecord, Attempts, Ending, Usage};
+pub use usage::{AttemptRecord, Attempts, Ending, Times, Usage};

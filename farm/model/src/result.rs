@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Grid, Output, Role};
+use crate::{Digest, Grid, Output, Role, Times};
 
 /// Bytes in the artifact store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -113,10 +113,16 @@ pub struct FrameRecord {
     pub blocks: Option<Blocks>,
     /// Samples refused.
     pub bad_samples: u64,
-    /// Seconds that workers spent on it, summed.
+    /// Seconds that workers spent on the results that count, summed.
     pub busy_seconds: f64,
-    /// Seconds from the first lease to the last result.
+    /// Seconds from the first lease to the last result, also those in which workers did other tasks and other jobs.
     pub seconds: f64,
+    /// Rounds that it took; `None`: not known, as of frames that were finished before version 10 of the log.
+    #[serde(default, deserialize_with = "crate::since_version_10")]
+    pub rounds: Option<u32>,
+    /// Time of its attempts; `None`: not looked up. The log does not hold it.
+    #[serde(skip)]
+    pub times: Option<Times>,
 }
 
 impl FrameRecord {

@@ -43,10 +43,15 @@ pub struct JobStatus {
     pub samples_per_second: f64,
     /// Samples refused because they were not finite.
     pub bad_samples: u64,
-    /// Relative error of the frame measured last.
+    /// Relative error of the worst frame so far, finished or in work; `None` also where no sample has met light.
     pub relative_error: Option<f64>,
-    /// Blocks of the frame measured last.
+    /// Blocks of that frame.
     pub blocks: Option<Blocks>,
+    /// Which frame it is; `None`: no frame was measured.
+    pub worst_frame: Option<WorstFrame>,
+    /// Relative error that each frame is to reach; `None`: the job stops by samples or by time. The scheduler does not read settings:
+    /// the coordinator fills this in.
+    pub error_target: Option<f64>,
     /// Seconds since the first lease, or from the first lease to the end.
     pub seconds: f64,
     /// Tasks out of attempts.
@@ -63,6 +68,44 @@ pub struct JobStatus {
     /// Calendar date of its submission: Unix time in milliseconds, by the coordinator's machine. `None`: not known, as of jobs in
     /// logs before version 10.
     pub submitted_date: Option<u64>,
+}
+
+/// The frame with the greatest relative error of a job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorstFrame {
+    /// Frame number.
+    pub frame: u32,
+    /// Whether and why it takes no more samples.
+    pub stop: FrameStop,
+}
+
+/// Whether a measured frame takes more samples, and why not. It explains an error above the target.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FrameStop {
+    /// It is in work: its error is that of the round before.
+    Rendering,
+    /// Its last round was the last one that is planned: the limit of samples.
+    Limit,
+    /// It stopped before. Each half of a tile's samples is ended by an estimate from the other half, so the error of all samples may
+    /// be a little above the target.
+    Estimate,
+    /// It is done, and its number of rounds is not known.
+    Unknown,
+}
+
+impl FrameStop {
+    /// All.
+    pub const ALL: [Self; 4] = [Self::Rendering, Self::Limit, Self::Estimate, Self::Unknown];
+
+    /// Name, one or two words in snake case.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Rendering => "rendering",
+            Self::Limit => "sample_limit",
+            Self::Estimate => "estimate",
+            Self::Unknown => "unknown",
+        }
+    }
 }
 
 /// How far a frame in work is.

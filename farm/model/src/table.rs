@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Failure, FrameProgress, FrameRecord, TaskKey};
+use crate::{Failure, FrameProgress, FrameRecord, TaskKey, Times};
 
 /// State of a task or a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -42,14 +42,20 @@ pub struct TaskStatus {
     pub task: TaskKey,
     /// State of it.
     pub state: TaskState,
-    /// Names of the workers that have it, or parts of it: those that run it, or where it is queued.
+    /// Whether it stands for the tasks of this number in all rounds: each task of a finished frame is listed once.
+    pub is_of_all_rounds: bool,
+    /// Names of the workers that have it, or parts of it: those that run it, or where it is queued. Once its attempts are looked up
+    /// ([`TaskStatus::times`]), a task that is done or failed has the workers of these attempts, first the one with the result.
     pub workers: Vec<String>,
-    /// Attempts that failed since it was last done or retried, and those that run or are queued.
+    /// Attempts that failed since it was last done or retried, and those that run or are queued. Once its attempts are looked up, a
+    /// task that is done has all that ended.
     pub attempts: u32,
     /// Seconds since the first of its leases was granted, while it runs or is queued.
     pub seconds: Option<f64>,
     /// Why the last attempt failed.
     pub failure: Option<Failure>,
+    /// Time of its attempts that have ended; `None`: not looked up, or none has ended.
+    pub times: Option<Times>,
 }
 
 /// A frame, or the job's own stages under [`Stage::OF_JOB`](crate::Stage::OF_JOB).
@@ -63,6 +69,8 @@ pub struct FrameStatus {
     pub progress: Option<FrameProgress>,
     /// What there is of it, once it is done.
     pub record: Option<FrameRecord>,
+    /// Time of its attempts that have ended; `None`: not looked up, or none has ended.
+    pub times: Option<Times>,
 }
 
 /// Which tasks of a job.

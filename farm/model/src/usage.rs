@@ -30,6 +30,23 @@ pub struct Usage {
     pub sent: u64,
 }
 
+/// Time that the ended attempts at a task, or at all tasks of a frame, took. Seconds by the farm's clock, which stands still while no
+/// coordinator runs; processor and wall seconds as workers measured them.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Times {
+    /// Attempts that have ended.
+    pub attempts: u32,
+    /// Processor seconds of these attempts, summed: also of those that failed, were revoked or given back. An attempt whose worker was
+    /// lost adds none, because nobody knows them.
+    pub processor: f64,
+    /// Seconds that workers spent in these attempts, summed: attempts that run side by side count each. Of an attempt without a
+    /// measurement it is the length of its lease.
+    pub wall: f64,
+    /// Seconds from the first lease of these attempts to the end of the last one in which none of them ran: the worker did other
+    /// tasks, of other jobs too, or the lease lay in its queue, or nobody had one. Never negative.
+    pub waiting: f64,
+}
+
 /// How a lease ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Ending {

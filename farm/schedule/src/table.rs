@@ -12,8 +12,8 @@ use crate::ledger::{Job, Place};
 use crate::scheduler::Scheduler;
 
 impl Scheduler {
-    /// Most tasks of one answer.
-    pub const TASKS: usize = 10_000;
+    /// Most tasks of one answer: who sorts tasks asks for all of them.
+    pub const TASKS: usize = 200_000;
 
     /// Every frame of a job, ascending; the job's own stages come first, if it has any.
     pub fn frame_table(&self, id: JobId) -> Result<Vec<FrameStatus>, Refusal> {
@@ -29,7 +29,7 @@ impl Scheduler {
                 (None, Some(_)) => TaskState::Running,
                 (None, None) => TaskState::Waiting,
             };
-            FrameStatus { frame, state, progress, record }
+            FrameStatus { frame, state, progress, record, times: None }
         };
         Ok(units(job).map(status).collect())
     }
@@ -88,7 +88,16 @@ impl Scheduler {
             let is_done = is_finished || unit.is_done((round, number), item);
             let state = if is_done { TaskState::Done } else { TaskState::Waiting };
             let task = TaskKey { job: id, stage, index: item };
-            TaskStatus { task, state, workers: Vec::new(), attempts: 0, seconds: None, failure: None }
+            TaskStatus {
+                task,
+                state,
+                is_of_all_rounds: is_finished,
+                workers: Vec::new(),
+                attempts: 0,
+                seconds: None,
+                failure: None,
+                times: None,
+            }
         };
         let mut all: Vec<TaskStatus> = items.map(status).collect();
         if is_finished {

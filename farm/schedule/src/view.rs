@@ -42,6 +42,7 @@ impl Scheduler {
         let bad_active: u64 = job.units.values().map(|unit| unit.bad_samples).sum();
         let first_lease = self.table.of_job(id).map(|(_, lease)| lease.granted).min();
         let began = job.began.into_iter().chain(first_lease).min();
+        let worst = job.worst_frame();
         Ok(JobStatus {
             job: id,
             name: spec.name.clone(),
@@ -62,8 +63,10 @@ impl Scheduler {
             samples_planned: spec.samples_of_frame().saturating_mul(spec.frames.len() as u64),
             samples_per_second: ready_tasks.rate.per_second(),
             bad_samples: bad_finished + bad_active,
-            relative_error: job.relative_error,
-            blocks: job.blocks,
+            relative_error: worst.and_then(|(_, error, _)| error),
+            blocks: worst.and_then(|(.., blocks)| blocks),
+            worst_frame: worst.map(|(frame, ..)| frame),
+            error_target: None,
             seconds: began.map_or(0, |began| job.ended.unwrap_or(now).since(began)) as f64 / 1000.0,
             quarantined: quarantined(id, job)
                 .into_iter()

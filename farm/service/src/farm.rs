@@ -2,17 +2,21 @@
 
 use std::fmt;
 
-use femc_model::Refusal;
-use tokio::sync::{mpsc, oneshot};
+use femc_model::{FrameRecord, JobId, Refusal};
+use tokio::sync::{OwnedMutexGuard, mpsc, oneshot};
 
-use crate::call::{Call, Reply};
+use crate::call::{Call, JobShape, Reply};
+use crate::times::{Book, JobTimes};
 
 /// The way to the coordinator; clones lead to the same one.
-pub struct Farm<S>(mpsc::Sender<Call<S>>);
+pub struct Farm<S> {
+    calls: mpsc::Sender<Call<S>>,
+    book: Book,
+}
 
 impl<S> Clone for Farm<S> {
     fn clone(&self) -> Self {
-        Self(self.0.clone())
+        Self { calls: self.calls.clone(), book: self.book.clone() }
     }
 }
 
@@ -25,24 +29,39 @@ impl<S> fmt::Debug for Farm<S> {
 impl<S> Farm<S> {
     /// Over this queue.
     pub fn new(calls: mpsc::Sender<Call<S>>) -> Self {
-        Self(calls)
+        Self { calls, book: Book::default() }
     }
 
     /// Passes a call on and waits for its answer.
     pub async fn ask<T>(&self, call: impl FnOnce(Reply<T>) -> Call<S>) -> Result<T, Refusal> {
         let stopping = || Refusal::Unavailable { message: "the coordinator is stopping".into() };
         let (reply, answer) = oneshot::channel();
-        self.0.send(call(reply)).await.map_err(|_| stopping())?;
+        self.calls.send(call(reply)).await.map_err(|_| stopping())?;
         answer.await.map_err(|_| stopping())?
+    }
+
+    /// Times of a job's attempts that have ended by now; `None`: there are more than [`Book::MOST`].
+    pub async fn times(&self, job: JobId, shape: &JobShape) -> Result<Option<OwnedMutexGuard<JobTimes>>, Refusal> {
+        self.book.of(self, job, shape).await
+    }
+
+    /// The finished frames of a job with the times of their attempts.
+    pub async fn frames_with_times(&self, job: JobId) -> Result<Vec<FrameRecord>, Refusal> {
+        let shape = self.ask(|reply| Call::Shape { job, reply }).await?;
+        let mut frames = self.ask(|reply| Call::Frames { job, reply }).await?;
+        if let Some(times) = self.times(job, &shape).await? {
+            frames.iter_mut().for_each(|record| record.times = times.frame(record.frame));
+        }
+        Ok(frames)
     }
 
     /// Passes on a call that is answered in another way; false: the coordinator is stopping.
     pub async fn tell(&self, call: Call<S>) -> bool {
-        self.0.send(call).await.is_ok()
+        self.calls.send(call).await.is_ok()
     }
 
     /// Ends when the coordinator does.
     pub async fn ended(&self) {
-        self.0.closed().await;
+        self.calls.closed().await;
     }
 }

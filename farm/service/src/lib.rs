@@ -15,6 +15,7 @@ mod http;
 mod operation;
 mod picture;
 mod steer;
+pub mod times;
 pub mod view;
 
 pub use access::{Caller, Credential, Gate, Granted, Limits, Outcome, Place, Places, Shown, Trail, Who};

@@ -77,6 +77,8 @@ fn record(frame: u32, outputs: Vec<Output>) -> FrameRecord {
         bad_samples: 0,
         busy_seconds: 1.0,
         seconds: 1.0,
+        rounds: None,
+        times: None,
     }
 }
 

@@ -145,10 +145,21 @@ pub(super) fn state(value: i32) -> Result<JobState, ConvertError> {
 
 impl From<FrameRecord> for wire::FrameRecord {
     fn from(record: FrameRecord) -> Self {
-        let FrameRecord { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds } = record;
+        let FrameRecord {
+            frame,
+            outputs,
+            spp,
+            relative_error,
+            blocks,
+            bad_samples,
+            busy_seconds,
+            seconds,
+            rounds,
+            times,
+        } = record;
         let outputs = outputs.into_iter().map(Into::into).collect();
-        let blocks = blocks.map(Into::into);
-        Self { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds }
+        let (blocks, times) = (blocks.map(Into::into), times.map(Into::into));
+        Self { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds, blocks, rounds, times }
     }
 }
 
@@ -156,9 +167,19 @@ impl TryFrom<wire::FrameRecord> for FrameRecord {
     type Error = ConvertError;
 
     fn try_from(wire: wire::FrameRecord) -> Result<Self, ConvertError> {
-        let wire::FrameRecord { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds } =
-            wire;
-        let (outputs, blocks) = (each(outputs)?, maybe(blocks)?);
-        Ok(Self { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds })
+        let wire::FrameRecord {
+            frame,
+            outputs,
+            spp,
+            relative_error,
+            bad_samples,
+            busy_seconds,
+            seconds,
+            blocks,
+            rounds,
+            times,
+        } = wire;
+        let (outputs, blocks, times) = (each(outputs)?, maybe(blocks)?, maybe(times)?);
+        Ok(Self { frame, outputs, spp, relative_error, blocks, bad_samples, busy_seconds, seconds, rounds, times })
     }
 }

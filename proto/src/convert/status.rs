@@ -1,8 +1,8 @@
 //! Statuses of jobs and workers.
 
 use femc_model::{
-    Crew, Drain, FrameProgress, Intake, JobId, JobStatus, OfflineWorker, Quarantined, Wait, WorkerId, WorkerName,
-    WorkerStatus,
+    Crew, Drain, FrameProgress, FrameStop, Intake, JobId, JobStatus, OfflineWorker, Quarantined, Wait, WorkerId,
+    WorkerName, WorkerStatus, WorstFrame,
 };
 
 use super::graph::{kind, of_kind};
@@ -31,6 +31,8 @@ impl From<JobStatus> for wire::JobStatus {
             bad_samples: status.bad_samples,
             relative_error: status.relative_error,
             blocks: status.blocks.map(Into::into),
+            worst_frame: status.worst_frame.map(Into::into),
+            error_target: status.error_target,
             seconds: status.seconds,
             quarantined: status.quarantined.into_iter().map(Into::into).collect(),
             stale_messages: status.stale_messages,
@@ -70,6 +72,8 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             bad_samples: wire.bad_samples,
             relative_error: wire.relative_error,
             blocks: maybe(wire.blocks)?,
+            worst_frame: maybe(wire.worst_frame)?,
+            error_target: wire.error_target,
             seconds: wire.seconds,
             quarantined: each(wire.quarantined)?,
             stale_messages: wire.stale_messages,
@@ -78,6 +82,33 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             submitted: wire.submitted_unix_ms,
             submitted_date: wire.submitted_date_unix_ms,
         })
+    }
+}
+
+impl From<WorstFrame> for wire::WorstFrame {
+    fn from(WorstFrame { frame, stop }: WorstFrame) -> Self {
+        let stop = match stop {
+            FrameStop::Rendering => wire::FrameStop::Rendering,
+            FrameStop::Limit => wire::FrameStop::SampleLimit,
+            FrameStop::Estimate => wire::FrameStop::Estimate,
+            FrameStop::Unknown => wire::FrameStop::Unspecified,
+        };
+        Self { frame, stop: stop.into() }
+    }
+}
+
+impl TryFrom<wire::WorstFrame> for WorstFrame {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::WorstFrame) -> Result<Self, ConvertError> {
+        // A reason that a later coordinator added is not known here, and nothing depends on it.
+        let stop = match wire::FrameStop::try_from(wire.stop) {
+            Ok(wire::FrameStop::Rendering) => FrameStop::Rendering,
+            Ok(wire::FrameStop::SampleLimit) => FrameStop::Limit,
+            Ok(wire::FrameStop::Estimate) => FrameStop::Estimate,
+            Ok(wire::FrameStop::Unspecified) | Err(_) => FrameStop::Unknown,
+        };
+        Ok(Self { frame: wire.frame, stop })
     }
 }
 

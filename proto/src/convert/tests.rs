@@ -269,6 +269,7 @@ fn statuses_cross_the_wire() {
         Wait::ImageLost { frame: 7 },
         Wait::Quarantined { frame: 1, tasks: 2 },
     ];
+    let mut stops = FrameStop::ALL.into_iter();
     for state in [Queued, Running, Paused, Done, Failed, Cancelled] {
         let status = JobStatus {
             job: JobId(7),
@@ -290,6 +291,8 @@ fn statuses_cross_the_wire() {
             bad_samples: 4,
             relative_error: Some(0.1),
             blocks: Some(Blocks { all: 4, unlit: 0 }),
+            worst_frame: stops.next().map(|stop| WorstFrame { frame: 3, stop }),
+            error_target: (state != Done).then_some(0.05),
             seconds: 5.5,
             quarantined: vec![Quarantined { task: task(StageKind::Render), attempts: 3, failure: Failure::Cancelled }],
             stale_messages: 8,
@@ -340,7 +343,10 @@ fn statuses_cross_the_wire() {
         bad_samples: 0,
         busy_seconds: 1.0,
         seconds: 2.0,
+        rounds: Some(3),
+        times: Some(Times { attempts: 7, processor: 1.5, wall: 2.5, waiting: 0.5 }),
     };
+    crosses::<FrameRecord, wire::FrameRecord>(FrameRecord { rounds: None, times: None, ..record.clone() });
     crosses::<FrameRecord, wire::FrameRecord>(record);
     crosses::<JobSpec, wire::JobSpec>(spec());
 }

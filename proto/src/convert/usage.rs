@@ -2,7 +2,7 @@
 
 use std::num::NonZeroU64;
 
-use femc_model::{AttemptRecord, Cut, Ending, OwnerUsage, TaskUsage, Tick, Usage, UsageSums};
+use femc_model::{AttemptRecord, Cut, Ending, OwnerUsage, TaskUsage, Tick, Times, Usage, UsageSums};
 
 use super::task::{finite, from_lease, to_lease};
 use super::{ConvertError, maybe, need};
@@ -63,6 +63,21 @@ impl TryFrom<wire::OwnerUsage> for OwnerUsage {
                 processor_us: (processor * 1e6).round() as u64,
             },
         })
+    }
+}
+
+impl From<Times> for wire::Times {
+    fn from(Times { attempts, processor, wall, waiting }: Times) -> Self {
+        Self { attempts, processor_seconds: processor, wall_seconds: wall, waiting_seconds: waiting }
+    }
+}
+
+impl TryFrom<wire::Times> for Times {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Times) -> Result<Self, ConvertError> {
+        let wire::Times { attempts, processor_seconds, wall_seconds, waiting_seconds } = wire;
+        Ok(Self { attempts, processor: processor_seconds, wall: wall_seconds, waiting: waiting_seconds })
     }
 }
 

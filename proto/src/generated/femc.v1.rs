@@ -397,6 +397,9 @@ pub struct FramesRequest {
     /// Its number.
     #[prost(uint64, tag = "1")]
     pub job: u64,
+    /// Whether the answer has the time of each frame's attempts (`FrameRecord.times`).
+    #[prost(bool, tag = "2")]
+    pub times: bool,
 }
 /// Asks for what there is of a job's frames in work.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -661,7 +664,8 @@ pub struct JobStatus {
     /// Samples refused because they were NaN, infinite or negative.
     #[prost(uint64, tag = "15")]
     pub bad_samples: u64,
-    /// Relative error of the frame measured last, 95 %; absent: none was measured, or it cannot be told.
+    /// Relative error of the worst frame so far, 95 %; absent: none was measured, or it cannot be told. Coordinators that do not set
+    /// `worst_frame`: of the frame measured last.
     #[prost(double, optional, tag = "16")]
     pub relative_error: ::core::option::Option<f64>,
     /// From the first lease until now, or until the end.
@@ -683,7 +687,7 @@ pub struct JobStatus {
     /// not known.
     #[prost(uint64, optional, tag = "22")]
     pub submitted_unix_ms: ::core::option::Option<u64>,
-    /// Blocks of the frame measured last; absent: none was measured.
+    /// Blocks of that frame; absent: none was measured.
     #[prost(message, optional, tag = "23")]
     pub blocks: ::core::option::Option<Blocks>,
     /// Calendar date of its submission, by the coordinator's machine: Unix time in milliseconds; absent: not known.
@@ -701,6 +705,22 @@ pub struct JobStatus {
     /// Path of the scene file within its bundle.
     #[prost(string, tag = "28")]
     pub scene: ::prost::alloc::string::String,
+    /// The frame of `relative_error` and `blocks`; absent: none was measured.
+    #[prost(message, optional, tag = "30")]
+    pub worst_frame: ::core::option::Option<WorstFrame>,
+    /// Relative error that each frame is to reach; absent: the job stops by samples or by time.
+    #[prost(double, optional, tag = "31")]
+    pub error_target: ::core::option::Option<f64>,
+}
+/// The frame with the greatest relative error of a job.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct WorstFrame {
+    /// Its number.
+    #[prost(uint32, tag = "1")]
+    pub frame: u32,
+    /// Whether it takes more samples, and why not.
+    #[prost(enumeration = "FrameStop", tag = "2")]
+    pub stop: i32,
 }
 /// Blocks of 16 x 16 pixels of a measured frame.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -960,15 +980,37 @@ pub struct FrameRecord {
     /// Samples refused because they were NaN, infinite or negative.
     #[prost(uint64, tag = "5")]
     pub bad_samples: u64,
-    /// Seconds that workers spent on it, summed.
+    /// Seconds that workers spent on the results that count, summed.
     #[prost(double, tag = "6")]
     pub busy_seconds: f64,
-    /// From the first lease to the last result.
+    /// From the first lease to the last result, also those in which workers did other tasks and other jobs.
     #[prost(double, tag = "7")]
     pub seconds: f64,
     /// Blocks of the frame; absent: it was not measured.
     #[prost(message, optional, tag = "8")]
     pub blocks: ::core::option::Option<Blocks>,
+    /// Rounds that it took; absent: not known.
+    #[prost(uint32, optional, tag = "10")]
+    pub rounds: ::core::option::Option<u32>,
+    /// Time of its attempts, where the request wants it; absent: not known.
+    #[prost(message, optional, tag = "11")]
+    pub times: ::core::option::Option<Times>,
+}
+/// Time that attempts took which have ended.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct Times {
+    /// Attempts.
+    #[prost(uint32, tag = "1")]
+    pub attempts: u32,
+    /// Processor seconds, summed: also of attempts that failed, were revoked or given back.
+    #[prost(double, tag = "2")]
+    pub processor_seconds: f64,
+    /// Seconds that workers spent in attempts, summed: those that ran side by side count each.
+    #[prost(double, tag = "3")]
+    pub wall_seconds: f64,
+    /// Seconds from the first lease to the end of the last one in which no attempt ran.
+    #[prost(double, tag = "4")]
+    pub waiting_seconds: f64,
 }
 /// A worker at a glance.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -2118,6 +2160,43 @@ impl JobState {
             "JOB_STATE_DONE" => Some(Self::Done),
             "JOB_STATE_FAILED" => Some(Self::Failed),
             "JOB_STATE_CANCELLED" => Some(Self::Cancelled),
+            _ => None,
+        }
+    }
+}
+/// Whether a measured frame takes more samples, and why not: it explains an error above the target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
+#[repr(i32)]
+pub enum FrameStop {
+    /// Done, and its number of rounds is not known.
+    Unspecified = 0,
+    /// It is in work: its error is that of the round before.
+    Rendering = 1,
+    /// Its last round was the last one planned: the limit of samples.
+    SampleLimit = 2,
+    /// It stopped before, by an estimate that may miss the target by a little.
+    Estimate = 3,
+}
+impl FrameStop {
+    /// String value of the enum field names used in the ProtoBuf definition.
+    ///
+    /// The values are not transformed in any way and thus are considered stable
+    /// (if the ProtoBuf definition does not change) and safe for programmatic use.
+    pub fn as_str_name(&self) -> &'static str {
+        match self {
+            Self::Unspecified => "FRAME_STOP_UNSPECIFIED",
+            Self::Rendering => "FRAME_STOP_RENDERING",
+            Self::SampleLimit => "FRAME_STOP_SAMPLE_LIMIT",
+            Self::Estimate => "FRAME_STOP_ESTIMATE",
+        }
+    }
+    /// Creates an enum from field names used in the ProtoBuf definition.
+    pub fn from_str_name(value: &str) -> ::core::option::Option<Self> {
+        match value {
+            "FRAME_STOP_UNSPECIFIED" => Some(Self::Unspecified),
+            "FRAME_STOP_RENDERING" => Some(Self::Rendering),
+            "FRAME_STOP_SAMPLE_LIMIT" => Some(Self::SampleLimit),
+            "FRAME_STOP_ESTIMATE" => Some(Self::Estimate),
             _ => None,
         }
     }

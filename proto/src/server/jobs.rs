@@ -74,8 +74,13 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn frames(&self, request: Request<wire::FramesRequest>) -> Answer<wire::FramesReply> {
-        let job = JobId(request.into_inner().job);
-        let frames = self.ask(|reply| Call::Frames { job, reply }).await?;
+        let wire::FramesRequest { job, times } = request.into_inner();
+        let job = JobId(job);
+        let frames = if times {
+            self.farm.frames_with_times(job).await.map_err(|no| to_status(&no))?
+        } else {
+            self.ask(|reply| Call::Frames { job, reply }).await?
+        };
         Ok(Response::new(wire::FramesReply { frames: frames.into_iter().map(Into::into).collect() }))
     }
 

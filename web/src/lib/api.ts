@@ -77,6 +77,8 @@ export interface TaskFilter {
   frame?: string | null;
   stage?: string | null;
   state?: string | null;
+  /** A field of tasks, with `-` before it for the greatest first. */
+  sort?: string | null;
 }
 
 /** The pixels, or null as long as there are none; `etag` tells whether they have changed. */
@@ -98,6 +100,7 @@ export const api = {
       if (frames.length < FRAME_WINDOW || all.length >= total) return all;
     }
   },
+  /** A window of tasks; `filter.sort` orders all of them, not the window alone. */
   tasks: (job: number, from: number, count: number, filter: TaskFilter, signal?: AbortSignal) =>
     get<TaskWindow>(`/jobs/${job}/tasks${query({ from, count, ...filter })}`, signal),
   /** A page of the attempts that have ended, from a cursor on: of the job, or of a task. */

@@ -65,6 +65,32 @@ export function frameError(frame: Measured): string {
   return `${percent(frame.relative_error)}, ${unlit_blocks} of ${blocks} blocks met no light`;
 }
 
+/** What was measured of a job: the error of its worst frame. */
+interface MeasuredJob extends Measured {
+  frames: number;
+  worst_frame?: number | null;
+  error_target?: number | null;
+  above_target?: string | null;
+}
+
+/** Why the error of a frame may be above the target. */
+const ABOVE: Record<string, string> = {
+  rendering: 'still rendering',
+  sample_limit: 'the frame has all samples that a frame may take',
+  estimate: 'it stopped by an estimate, which may miss the target by a little',
+};
+
+/** The error of a job: `7.1 % in frame 3, above the target of 5.0 %: still rendering`. */
+export function jobError(job: MeasuredJob): string {
+  const place = job.worst_frame && job.frames > 1 ? ` in frame ${job.worst_frame}` : '';
+  const measured = `${frameError(job)}${place}`;
+  if (job.error_target == null || job.relative_error == null) return measured;
+  const target = `the target of ${percent(job.error_target)}`;
+  if (!job.above_target) return `${measured}, within ${target}`;
+  const why = ABOVE[job.above_target];
+  return `${measured}, above ${target}${why ? `: ${why}` : ''}`;
+}
+
 /** `1 job`, `2 jobs`. */
 export function count(n: number, noun: string): string {
   return `${n.toLocaleString('en-US')} ${noun}${n === 1 ? '' : 's'}`;

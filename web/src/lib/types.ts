@@ -54,8 +54,14 @@ export interface Job {
   samples_most: number;
   samples_per_second: number;
   bad_samples: number;
-  /** Of the frame measured last; null where no sample met light. */
+  /** Of the worst frame so far; null where no sample met light. */
   relative_error: number | null;
+  /** Number of that frame. */
+  worst_frame?: number | null;
+  /** Relative error that each frame is to reach; null: the job stops by samples or by time. */
+  error_target?: number | null;
+  /** Why the error of the worst frame is above the target; null where it is not. */
+  above_target?: 'rendering' | 'sample_limit' | 'estimate' | 'unknown' | null;
   /** Blocks of that frame, and those in which no sample met light. */
   blocks?: number | null;
   unlit_blocks?: number | null;
@@ -138,7 +144,17 @@ export interface Output {
   bytes: number;
 }
 
-export interface Frame {
+/** Times of attempts that have ended; null: none has, or they are not known. */
+export interface Times {
+  /** Of all attempts, summed. */
+  processor_seconds?: number | null;
+  /** That workers spent in attempts, summed. */
+  wall_seconds?: number | null;
+  /** From the first lease to the end of the last one, while no attempt ran. */
+  waiting_seconds?: number | null;
+}
+
+export interface Frame extends Times {
   frame: number;
   state: FrameState;
   stage: string | null;
@@ -151,12 +167,15 @@ export interface Frame {
   /** Blocks of it, and those in which no sample met light. */
   blocks?: number | null;
   unlit_blocks?: number | null;
+  /** From the first lease to the last result, waiting included. */
   seconds: number | null;
+  /** Attempts at its tasks that have ended. */
+  attempts?: number;
   has_image: boolean;
   outputs: Output[];
 }
 
-export interface Task {
+export interface Task extends Times {
   task: string;
   frame: number;
   stage: string;
@@ -165,9 +184,9 @@ export interface Task {
   /** Of the stage. */
   number: number;
   round: number;
-  /** Who has it now. */
+  /** Who has it now; of a task that is done or failed, who did it or tried. */
   workers: string[];
-  /** Those that failed, or run now. */
+  /** Those that failed, or run now; of a task that is done, all. */
   attempts: number;
   /** Since the lease, while it runs. */
   seconds: number | null;

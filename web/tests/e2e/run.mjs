@@ -13,6 +13,7 @@ import { Farm, pause, until } from './farm.mjs';
 import { files } from './files.mjs';
 import { hands } from './hands.mjs';
 import { numbers } from './numbers.mjs';
+import { slow } from './slow.mjs';
 import { tabs } from './tabs.mjs';
 
 const args = process.argv.slice(2);
@@ -241,8 +242,8 @@ await step('frames: thumbnails come, colors change, a drag selects', async () =>
   for (const key of ['Home', ' ']) if (key === ' ') await current.locator('[role=listbox]').press(key);
   await current.locator('[role=listbox]').press('Shift+ArrowRight');
   await until(() => query('frames') !== null, 'keys select frames, too', 5);
-  for (const color of ['seconds', 'error']) {
-    await current.getByRole('button', { name: color, exact: true }).click();
+  for (const color of ['processor', 'at workers', 'waiting', 'first to last', 'error']) {
+    await current.getByLabel('Color by').getByRole('button', { name: color, exact: true }).click();
     await current.locator('.legend').waitFor();
   }
   await accessible('frames');
@@ -449,6 +450,7 @@ await step('logs and settings', async () => {
 await numbers({ step, claim, equal, farm, page: () => current, visit });
 
 await files({ step, open, claim, equal, farm, page: () => current, visit, accessible });
+await slow({ step, claim, equal, open });
 
 await hands({ step, open, claim, equal, farm, jobs, shotsAt });
 

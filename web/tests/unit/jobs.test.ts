@@ -21,20 +21,32 @@ const active = (frame: number, round: number, rounds: number, tiles_done: number
 });
 
 describe('filters', () => {
-  const it = job(12, { name: 'Drive', owner: 'ann', state: 'failed' });
-  test.each(['', 'drive', 'ann', '12', 'owner:a', 'state:failed,done', 'name:riv state:failed', '-state:done'])(
+  const it = job(12, {
+    name: 'Drive',
+    owner: 'ann',
+    state: 'failed',
+    comment: 'before the Change',
+    labels: { shot: '12', 'medium.fog.sigma_s': '0.02' },
+  });
+  test.each(['', 'drive', 'ann', '12', 'owner:a', 'state:failed,done', 'name:riv state:failed', '-state:done', 'change', 'label:shot=12',
+    'label:shot', 'label:medium.fog.sigma_s=0.02 -label:take'])(
     '%s fits',
     (filter) => {
       expect(matches(it, filter)).toBe(true);
     },
   );
-  test.each(['1', 'bob', 'owner:nn', 'state:done', 'drive -ann', 'drive bob'])('%s does not fit', (filter) => {
+  test.each(['1', 'bob', 'owner:nn', 'state:done', 'drive -ann', 'drive bob', 'label:shot=1', 'label:sho', 'label:12'])('%s does not fit', (filter) => {
     expect(matches(it, filter)).toBe(false);
   });
 });
 
 describe('order and groups', () => {
-  const jobs = [job(1, { name: 'b', owner: 'eve' }), job(2, { name: 'a' }), job(3, { name: 'b' })];
+  const jobs = [
+    job(1, { name: 'b', scene: 'b', owner: 'eve' }),
+    job(2, { name: 'a', scene: 'a' }),
+    // A variant of a sweep.
+    job(3, { name: 'b-ed=100', scene: 'b' }),
+  ];
   test('the newest first, unless the address says otherwise', () => {
     expect(sorted(jobs, parseOrder(undefined)).map((it) => it.job)).toEqual([3, 2, 1]);
     expect(sorted(jobs, parseOrder('name')).map((it) => it.job)).toEqual([2, 1, 3]);

@@ -243,7 +243,8 @@ fn together(jobs: &[&JobStatus], queued: &[Queued<'_>]) -> Snapshot {
         sum.tiles_done += one.tiles_done;
         sum.tiles += one.tiles;
         sum.samples += one.samples;
-        if one.blocks.is_some() || one.relative_error.is_some() {
+        // The worst frame of all jobs; one without light has no error.
+        if one.relative_error > sum.relative_error || sum.blocks.is_none() {
             (sum.relative_error, sum.blocks) = (one.relative_error, one.blocks);
         }
         weighted += one.fraction * one.frames as f64;

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use femc_model::{
-    Blocks, Control, Cut, Digest, Epoch, Failure, FrameRecord, Grains, Input, JobSpec, Need, Output, Scope, Stage,
-    TaskKey, TaskResult, Tick,
+    Blocks, Control, Cut, Digest, Epoch, Failure, FrameRecord, FrameStop, Grains, Input, JobSpec, Need, Output, Scope,
+    Stage, TaskKey, TaskResult, Tick, WorstFrame,
 };
 use serde::{Deserialize, Serialize};
 
@@ -76,9 +76,12 @@ pub(crate) struct Job {
     pub(crate) finished: BTreeMap<u32, Finished>,
     /// Frames that only a retry can move.
     pub(crate) blocked: BTreeSet<u32>,
-    pub(crate) relative_error: Option<f64>,
+    /// Relative error of the frame measured last. Statuses have that of the worst frame; it stays because the log stores fields by
+    /// position.
+    relative_error: Option<f64>,
+    /// Blocks of the frame measured last, likewise.
     #[serde(deserialize_with = "femc_model::since_version_9")]
-    pub(crate) blocks: Option<Blocks>,
+    blocks: Option<Blocks>,
     submitted: Tick,
     /// Calendar date of the submission: Unix time in milliseconds.
     #[serde(deserialize_with = "femc_model::since_version_10")]
@@ -269,6 +272,31 @@ impl Job {
     /// Whether something of it is done once for the whole job.
     pub(crate) fn has_job_stages(&self) -> bool {
         self.shared.is_some() || self.spec.graph.has_job()
+    }
+
+    /// The frame with the greatest relative error so far, its error and blocks. A frame without light comes after all others.
+    pub(crate) fn worst_frame(&self) -> Option<(WorstFrame, Option<f64>, Option<Blocks>)> {
+        let rounds = self.spec.graph.loop_of(Scope::Frame).map_or(1, |(_, around)| around.rounds);
+        let finished = self.finished.iter().map(|(&frame, Finished { record, .. })| {
+            let stop = match record.rounds {
+                Some(taken) if taken >= rounds => FrameStop::Limit,
+                Some(_) => FrameStop::Estimate,
+                None => FrameStop::Unknown,
+            };
+            (WorstFrame { frame, stop }, record.relative_error, record.blocks)
+        });
+        let in_work = self
+            .units
+            .iter()
+            .map(|(&frame, unit)| (WorstFrame { frame, stop: FrameStop::Rendering }, unit.relative_error, unit.blocks));
+        let is_measured = |(worst, error, blocks): &(WorstFrame, Option<f64>, Option<Blocks>)| {
+            worst.frame != Stage::OF_JOB && (error.is_some() || blocks.is_some())
+        };
+        let size = |error: Option<f64>| error.unwrap_or(-1.0);
+        finished.chain(in_work).filter(is_measured).reduce(|worst, next| {
+            let order = size(next.1).total_cmp(&size(worst.1)).then(worst.0.frame.cmp(&next.0.frame));
+            if order.is_gt() { next } else { worst }
+        })
     }
 
     /// How many frames are finished.
@@ -675,6 +703,8 @@ fn finished(shape: &Shape<'_>, unit: &Unit, frame: u32, last: (Stage, u32, Epoch
             bad_samples: unit.bad_samples,
             busy_seconds: unit.busy_seconds,
             seconds: now.since(unit.began) as f64 / 1000.0,
+            rounds: Some(unit.round + 1),
+            times: None,
         },
     }
 }

@@ -137,3 +137,47 @@ fn an_outage_does_not_move_the_calendar_date_of_a_submission() {
     assert_eq!(farm.status(id).submitted_date, date);
     assert_ne!(farm.status(id).submitted, date);
 }
+
+/// Does all tasks of frame `frame` that worker 1 holds, the image with this error; until it holds another frame's task.
+fn frame_with_error(farm: &mut Farm, frame: u32, error: f64, decision: &Decision) {
+    while farm.held.iter().any(|(_, held)| held.task.stage.frame == frame) {
+        let (_, held) =
+            farm.held.iter().find(|(_, held)| held.task.stage.frame == frame).cloned().expect("one is there");
+        let result = common::result(&held, decision.clone());
+        let is_measured = result.relative_error.is_some();
+        let result = TaskResult { relative_error: is_measured.then_some(error), ..result };
+        farm.complete_with(1, &held, result);
+        if is_measured {
+            return;
+        }
+    }
+}
+
+#[test]
+fn the_error_of_a_job_is_that_of_its_worst_frame_and_not_of_the_one_measured_last() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2, 3], 1, &[4, 8]));
+    farm.join(1);
+    let told = |farm: &Farm| {
+        let status = farm.status(id);
+        (status.relative_error, status.worst_frame.map(|worst| (worst.frame, worst.stop)))
+    };
+    assert_eq!(told(&farm), (None, None));
+    frame_with_error(&mut farm, 1, 0.3, &Decision::Continue);
+    assert_eq!(told(&farm), (Some(0.3), Some((1, FrameStop::Rendering))), "after its first round");
+    // Its second round is the last one.
+    frame_with_error(&mut farm, 1, 0.2, &Done);
+    assert_eq!(told(&farm), (Some(0.2), Some((1, FrameStop::Limit))));
+    frame_with_error(&mut farm, 2, 0.1, &Done);
+    assert_eq!(told(&farm), (Some(0.2), Some((1, FrameStop::Limit))), "a better frame was measured last");
+    frame_with_error(&mut farm, 3, 0.25, &Done);
+    assert_eq!(told(&farm), (Some(0.25), Some((3, FrameStop::Estimate))), "it ended after the first of two rounds");
+    assert_eq!(farm.state(id), JobState::Done);
+    let rounds: Vec<_> = farm.scheduler.frames(id).expect("it is there").iter().map(|record| record.rounds).collect();
+    assert_eq!(rounds, [Some(2), Some(1), Some(1)]);
+    farm.restart();
+    assert_eq!(told(&farm).1, Some((3, FrameStop::Estimate)), "after a restart, too");
+    let (ledger, now) = (farm.scheduler.ledger().encode().expect("a snapshot"), farm.now);
+    let read = femc_schedule::Ledger::decode(&ledger).expect("the same version");
+    assert_eq!(&read, farm.scheduler.ledger(), "at {now:?}");
+}

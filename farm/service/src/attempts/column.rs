@@ -143,6 +143,8 @@ pub fn columns(by: By) -> Vec<Column> {
         column("sent_bytes", "sent", Bytes, Anybody, |row| Cell::Count(row.sent)),
     ]);
     if !matches!(by, By::Worker | By::Variant) {
+        let reader = if by == By::Attempt { Programs } else { Anybody };
+        all.push(column("waiting_seconds", "waiting", Seconds, reader, |row| Cell::Real(row.waiting)));
         all.push(column("relative_error", "error", Share, Anybody, |row| {
             row.relative_error.map_or(Cell::Gap, Cell::Real)
         }));

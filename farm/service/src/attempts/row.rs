@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use femc_model::{AttemptRecord, Ending, Grains, TaskKey, Tick};
 
 use super::job_record::JobRecord;
+use crate::times::{Span, Sum};
 
 /// What a row is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +61,8 @@ pub struct Row {
     pub ended: f64,
     /// Between arrival and beginning.
     pub wait: f64,
+    /// Between the first lease and the end of the last one, while no attempt ran; see [`femc_model::Times::waiting`].
+    pub waiting: f64,
     /// From the beginning to the result.
     pub wall: f64,
     /// Of these, until the inputs were ready.
@@ -111,6 +114,7 @@ impl Row {
             began: began - zero,
             ended: ended - zero,
             wait: usage.wait,
+            waiting: 0.0,
             wall: if record.usage.is_some() { usage.wall } else { ended - began },
             preparation: usage.preparation,
             cpu: usage.cpu,
@@ -181,11 +185,11 @@ fn rows_since(jobs: &[JobRecord], by: By, zeros: &BTreeMap<u64, f64>) -> Vec<Row
         job.attempts.iter().map(move |record| {
             number = if last == Some(record.task) { number + 1 } else { 1 };
             last = Some(record.task);
-            Row::of(record, source, job, number, zero)
+            (Row::of(record, source, job, number, zero), Span::new(record.granted, record.ended, record.usage))
         })
     });
     match by {
-        By::Attempt => all.collect(),
+        By::Attempt => all.map(|(row, span)| with_waiting(row, [span].into_iter().collect())).collect(),
         By::Task => grouped(all, |row| (row.source, row.task)),
         By::Frame => grouped(all, |row| (row.source, row.task.map(|task| task.stage.frame))),
         By::Variant => grouped(all, |row| (row.variant.is_none().then_some(row.source), row.variant.clone())),
@@ -215,14 +219,22 @@ fn zeros(jobs: &[JobRecord]) -> BTreeMap<u64, f64> {
     runs.into_iter().map(zero).collect()
 }
 
-fn grouped<K: Ord>(all: impl Iterator<Item = Row>, key: impl Fn(&Row) -> K) -> Vec<Row> {
-    let mut groups: BTreeMap<K, (Row, BTreeSet<u64>)> = BTreeMap::new();
-    for row in all {
+fn with_waiting(row: Row, sum: Sum) -> Row {
+    Row { waiting: sum.times().map_or(0.0, |times| times.waiting), ..row }
+}
+
+fn grouped<K: Ord>(all: impl Iterator<Item = (Row, Span)>, key: impl Fn(&Row) -> K) -> Vec<Row> {
+    let mut groups: BTreeMap<K, (Row, Sum, BTreeSet<u64>)> = BTreeMap::new();
+    for (row, span) in all {
         let instance = row.instance;
-        let (_, workers) =
-            (groups.entry(key(&row))).and_modify(|(sum, _)| sum.add(&row)).or_insert_with(|| (row, BTreeSet::new()));
+        let (_, sum, workers) = (groups.entry(key(&row)))
+            .and_modify(|(known, ..)| known.add(&row))
+            .or_insert_with(|| (row, Sum::default(), BTreeSet::new()));
+        sum.add(&span);
         workers.insert(instance);
     }
-    let count = |(row, workers): (Row, BTreeSet<u64>)| Row { workers: workers.len() as u64, ..row };
+    let count = |(row, sum, workers): (Row, Sum, BTreeSet<u64>)| {
+        with_waiting(Row { workers: workers.len() as u64, ..row }, sum)
+    };
     groups.into_values().map(count).collect()
 }

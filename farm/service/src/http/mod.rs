@@ -8,6 +8,7 @@ mod answer;
 mod change;
 mod download;
 mod fault;
+mod order;
 mod pages;
 mod range;
 mod respond;
@@ -32,6 +33,7 @@ use crate::operation::Operation;
 use crate::picture::{Draw, Pictures};
 pub use answer::Body;
 use fault::Fault;
+use order::LastSorted;
 pub use pages::Files;
 use route::Route;
 pub use visitor::{Introduced, Served, Visitor};
@@ -66,6 +68,7 @@ struct Inner<S> {
     /// For those who read pixels: a place is held until all are sent.
     large: Places,
     pictures: Pictures,
+    sorted: LastSorted,
     gate: Gate,
     site: Site,
     is_encrypted: bool,
@@ -97,7 +100,18 @@ impl<S: Send + 'static> Http<S> {
         let few = Limits { transfers: 4, transfers_of_caller: 2, transfers_of_connection: 2, ..*gate.limits() };
         let large = Places::new(&few);
         let pictures = Pictures::new(site.draw, store.clone());
-        Self(Arc::new(Inner { farm, feed, store, places, large, pictures, gate, site, is_encrypted }))
+        Self(Arc::new(Inner {
+            farm,
+            feed,
+            store,
+            places,
+            large,
+            pictures,
+            sorted: LastSorted::default(),
+            gate,
+            site,
+            is_encrypted,
+        }))
     }
 
     /// Answers a request, whatever it is. The answer has its [`Operation`] among its extensions, for those who count.

@@ -7,13 +7,17 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use ::http::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH, LOCATION, SET_COOKIE};
 use ::http::{HeaderValue, Response, StatusCode};
 use bytes::Bytes;
-use femc_model::{Crew, Cut, Grains, JobId, JobSpec, LogRecord, LogText, OwnerUsage, Refusal, TaskKey, TaskPage, Tick};
+use femc_model::{
+    Crew, Cut, Grains, JobId, JobSpec, LogRecord, LogText, OwnerUsage, Refusal, TaskFilter, TaskKey, TaskPage,
+    TaskStatus, Tick,
+};
 use femc_trust::Holder;
 use http_body_util::{BodyExt as _, LengthLimitError, Limited};
 use serde::Serialize;
 
 use super::answer::{self, Body};
 use super::fault::Fault;
+use super::order::TaskOrder;
 use super::route::{Query, Route, TaskWindow, Window};
 use super::{Asked, Http, site};
 use crate::access::{Caller, Trail, Who};
@@ -48,6 +52,9 @@ struct Job {
 #[derive(Serialize)]
 struct Frames {
     total: usize,
+    /// Of all frames and of the job's own stages, also of those that this answer leaves out.
+    processor_seconds: Option<f64>,
+    wall_seconds: Option<f64>,
     frames: Vec<FrameJson>,
 }
 
@@ -201,20 +208,81 @@ impl<S: Send + 'static> Http<S> {
     async fn frames(&self, job: JobId, Window { from, count }: Window) -> Result<Response<Body>, Fault> {
         /// Most frames of one answer.
         const MOST: usize = 10_000;
-        let JobShape { spec, .. } = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
-        let [width, height] = spec.grid.film;
+        let shape = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
+        let [width, height] = shape.spec.grid.film;
         let pixels = u64::from(width) * u64::from(height);
-        let frames = self.0.farm.ask(|reply| Call::FrameTable { job, reply }).await?;
+        let mut frames = self.0.farm.ask(|reply| Call::FrameTable { job, reply }).await?;
+        let times = self.0.farm.times(job, &shape).await?;
+        let sums = times.as_ref().map(|times| times.job());
         let total = frames.len();
-        let window = frames.iter().skip(from).take(count.min(MOST));
-        Ok(answer::json(&Frames { total, frames: window.map(|frame| FrameJson::new(frame, pixels)).collect() }))
+        let window = frames.iter_mut().skip(from).take(count.min(MOST));
+        let frames = window.map(|frame| {
+            if let Some(times) = &times {
+                times.tell_frame(frame);
+            }
+            FrameJson::new(frame, pixels)
+        });
+        Ok(answer::json(&Frames {
+            total,
+            processor_seconds: sums.map(|(processor, _)| processor),
+            wall_seconds: sums.map(|(_, wall)| wall),
+            frames: frames.collect(),
+        }))
     }
 
     async fn tasks(&self, job: JobId, window: TaskWindow) -> Result<Response<Body>, Fault> {
-        let TaskWindow { filter, from, count } = window;
-        let TaskPage { total, tasks } =
+        /// Most tasks of one answer.
+        const MOST: usize = 10_000;
+        let TaskWindow { filter, order, from, count } = window;
+        let count = count.min(MOST);
+        if let Some(order) = order {
+            let all = self.sorted_tasks(job, filter, order).await?;
+            let first = usize::try_from(from).unwrap_or(usize::MAX);
+            let tasks = all.iter().skip(first).take(count).map(TaskJson::from).collect();
+            return Ok(answer::json(&Tasks { total: all.len() as u64, tasks }));
+        }
+        let TaskPage { total, mut tasks } =
             self.0.farm.ask(|reply| Call::Tasks { job, filter, from, count, reply }).await?;
+        let shape = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
+        if let Some(times) = self.0.farm.times(job, &shape).await? {
+            tasks.iter_mut().for_each(|task| times.tell_task(task));
+        }
         Ok(answer::json(&Tasks { total, tasks: tasks.iter().map(TaskJson::from).collect() }))
+    }
+
+    /// All tasks that a filter lets through, in an order.
+    async fn sorted_tasks(
+        &self,
+        job: JobId,
+        filter: TaskFilter,
+        order: TaskOrder,
+    ) -> Result<Arc<Vec<TaskStatus>>, Fault> {
+        if let Some(sorted) = self.0.sorted.get(job, filter, order) {
+            return Ok(sorted);
+        }
+        let (from, count) = (0, usize::MAX);
+        let TaskPage { total, mut tasks } =
+            self.0.farm.ask(|reply| Call::Tasks { job, filter, from, count, reply }).await?;
+        if total > tasks.len() as u64 {
+            let message = format!(
+                "{total} tasks are too many to sort, at most {}: choose them by frame, stage or state",
+                tasks.len()
+            );
+            return Err(Fault::Invalid { field: "sort".into(), message });
+        }
+        let shape = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
+        let times = self.0.farm.times(job, &shape).await?;
+        let work = move || {
+            if let Some(times) = times {
+                tasks.iter_mut().for_each(|task| times.tell_task(task));
+            }
+            order.sort(&mut tasks);
+            tasks
+        };
+        let failed = |error: tokio::task::JoinError| Refusal::Unavailable { message: error.to_string() };
+        let tasks = Arc::new(tokio::task::spawn_blocking(work).await.map_err(failed)?);
+        self.0.sorted.put(job, filter, order, tasks.clone());
+        Ok(tasks)
     }
 
     async fn attempts(&self, job: JobId, from: u64, task: Option<TaskKey>) -> Result<Response<Body>, Fault> {

@@ -6,6 +6,7 @@ use femc_model::{JobId, TaskFilter, TaskKey, TaskState, Tick};
 
 use super::Asked;
 use super::fault::Fault;
+use super::order::TaskOrder;
 use crate::file::{File, FrameFile};
 use crate::operation::Operation;
 use crate::picture::Wanted;
@@ -52,6 +53,8 @@ pub(super) struct Window {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct TaskWindow {
     pub(super) filter: TaskFilter,
+    /// Without it they are in the order of the job.
+    pub(super) order: Option<TaskOrder>,
     pub(super) from: u64,
     pub(super) count: usize,
 }
@@ -180,10 +183,11 @@ impl Route {
 fn window(query: Query<'_>) -> Result<TaskWindow, Fault> {
     let state = query.get("state").map(|name| {
         let known = TaskState::ALL.into_iter().find(|state| state.name() == name);
-        known.ok_or_else(|| invalid("state", &format!("`{name}`: give waiting, running, done or failed")))
+        known.ok_or_else(|| invalid("state", &format!("`{name}`: give waiting, queued, running, done or failed")))
     });
     let filter = TaskFilter { frame: query.number("frame")?, stage: query.number("stage")?, state: state.transpose()? };
-    Ok(TaskWindow { filter, from: query.number("from")?.unwrap_or(0), count: query.number("count")?.unwrap_or(1000) })
+    let (from, count) = (query.number("from")?.unwrap_or(0), query.number("count")?.unwrap_or(1000));
+    Ok(TaskWindow { filter, order: query.number("sort")?, from, count })
 }
 
 /// Rows of a thumbnail.
@@ -289,6 +293,7 @@ mod tests {
             "/api/v1/jobs/7/frames/-1/pixels",
             "/api/v1/jobs/7/tasks?count=many",
             "/api/v1/jobs/7/tasks?state=Done",
+            "/api/v1/jobs/7/tasks?sort=cpu",
             "/api/v1/jobs/7/logs?since=yesterday",
             "/api/v1/jobs/7/logs?task=7",
         ] {
@@ -304,11 +309,14 @@ mod tests {
         }
         assert_eq!(route(&Method::GET, "/login").expect("the page"), Route::Page("/login".into()));
         let Ok(Route::Tasks(job, window)) =
-            route(&Method::GET, "/api/v1/jobs/shared-3/tasks?frame=0&state=failed&from=5")
+            route(&Method::GET, "/api/v1/jobs/shared-3/tasks?frame=0&state=failed&from=5&sort=-wall_seconds")
         else {
             panic!("it is a window of tasks");
         };
         let filter = TaskFilter { frame: Some(0), stage: None, state: Some(TaskState::Failed) };
-        assert_eq!((job, window), (JobId::shared(3), TaskWindow { filter, from: 5, count: 1000 }));
+        assert_eq!(
+            (job, window),
+            (JobId::shared(3), TaskWindow { filter, order: "-wall_seconds".parse().ok(), from: 5, count: 1000 })
+        );
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use femc_model::{FrameProgress, JobStatus, Stage, Wait};
+use femc_model::{FrameProgress, FrameStop, JobStatus, Stage, Wait};
 use serde::Serialize;
 
 use super::words::count;
@@ -29,11 +29,17 @@ pub struct JobJson {
     samples_most: u64,
     samples_per_second: f64,
     bad_samples: u64,
-    /// Relative error of the frame measured last; `None` also if it met no light.
+    /// Relative error of the worst frame so far; `None` also if no frame met light.
     relative_error: Option<f64>,
+    /// Number of that frame.
+    worst_frame: Option<u32>,
     /// Blocks of that frame, and those in which no sample met light.
     blocks: Option<u32>,
     unlit_blocks: Option<u32>,
+    /// Relative error that each frame is to reach; `None`: the job stops by samples or by time.
+    error_target: Option<f64>,
+    /// Why the error of the worst frame is above the target; `None`: it is not.
+    above_target: Option<&'static str>,
     seconds: f64,
     /// When it was submitted, Unix seconds by the farm's clock.
     submitted: Option<f64>,
@@ -91,8 +97,11 @@ impl From<&JobStatus> for JobJson {
             samples_per_second: job.samples_per_second,
             bad_samples: job.bad_samples,
             relative_error: job.relative_error,
+            worst_frame: job.worst_frame.map(|worst| worst.frame),
             blocks: job.blocks.map(|blocks| blocks.all),
             unlit_blocks: job.blocks.map(|blocks| blocks.unlit),
+            error_target: job.error_target,
+            above_target: above_target(job).map(FrameStop::name),
             seconds: job.seconds,
             submitted: job.submitted.map(|milliseconds| milliseconds as f64 / 1000.0),
             submitted_date: job.submitted_date.map(|milliseconds| milliseconds as f64 / 1000.0),
@@ -113,6 +122,12 @@ impl From<&JobStatus> for JobJson {
             waits: job.waits.iter().map(|it| wait(job, it)).collect(),
         }
     }
+}
+
+/// Why the error of a job's worst frame is above its target; `None`: it is not, or there is no target.
+pub fn above_target(job: &JobStatus) -> Option<FrameStop> {
+    let (error, target) = job.relative_error.zip(job.error_target)?;
+    job.worst_frame.filter(|_| error > target).map(|worst| worst.stop)
 }
 
 impl From<&FrameProgress> for ActiveJson {
@@ -250,6 +265,8 @@ mod tests {
             bad_samples: 0,
             relative_error: None,
             blocks: None,
+            worst_frame: None,
+            error_target: None,
             seconds: 0.0,
             quarantined: Vec::new(),
             stale_messages: 0,

@@ -9,9 +9,9 @@ mod usage;
 mod words;
 mod worker;
 
-pub use job::{JobJson, unit, wait};
+pub use job::{JobJson, above_target, unit, wait};
 pub use log::LogJson;
-pub use spec::SpecJson;
+pub use spec::{SpecJson, error_target};
 pub use table::{FrameJson, TaskJson};
 pub use usage::usage_columns;
 pub use words::count;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use femc_model::{JobSpec, Scope};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::file::FileNames;
 
@@ -63,4 +63,17 @@ impl From<&JobSpec> for SpecJson {
             settings: spec.settings.clone(),
         }
     }
+}
+
+/// Relative error that each frame of a job is to reach; `None`: the job stops by samples or by time, or says nothing of it.
+pub fn error_target(spec: &JobSpec) -> Option<f64> {
+    #[derive(Deserialize)]
+    struct Settings {
+        stop: Stop,
+    }
+    #[derive(Deserialize)]
+    struct Stop {
+        error: f64,
+    }
+    serde_json::from_str(&spec.settings).ok().map(|Settings { stop }| stop.error)
 }

@@ -1,6 +1,6 @@
 //! A job frame by frame and task by task, as programs and pages read it.
 
-use femc_model::{FrameStatus, Output, Role, TaskStatus};
+use femc_model::{FrameStatus, Output, Role, TaskStatus, Times};
 use serde::Serialize;
 
 /// A frame as JSON; number 0: the job's own stages.
@@ -13,16 +13,43 @@ pub struct FrameJson {
     tiles_done: u32,
     tiles: u32,
     running: u32,
+    /// Attempts at its tasks that have ended.
+    attempts: u32,
     samples: u64,
     /// `None` also where no sample met light.
     relative_error: Option<f64>,
     /// Blocks of the frame, and those in which no sample met light.
     blocks: Option<u32>,
     unlit_blocks: Option<u32>,
-    /// From the first lease to the last result, once it is done.
+    /// From the first lease to the last result, once it is done: also the time in which workers did other tasks.
     seconds: Option<f64>,
+    /// Rounds that it took, once it is done.
+    rounds: Option<u32>,
+    #[serde(flatten)]
+    times: TimesJson,
     has_image: bool,
     outputs: Vec<OutputJson>,
+}
+
+/// Time of attempts that have ended, as JSON; null: none has ended, or it is not known.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+struct TimesJson {
+    /// Processor seconds of all attempts, summed.
+    processor_seconds: Option<f64>,
+    /// Seconds that workers spent in attempts, summed.
+    wall_seconds: Option<f64>,
+    /// Seconds between the first lease and the end of the last one in which no attempt ran.
+    waiting_seconds: Option<f64>,
+}
+
+impl From<Option<Times>> for TimesJson {
+    fn from(times: Option<Times>) -> Self {
+        Self {
+            processor_seconds: times.map(|times| times.processor),
+            wall_seconds: times.map(|times| times.wall),
+            waiting_seconds: times.map(|times| times.waiting),
+        }
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -64,6 +91,9 @@ impl FrameJson {
             blocks: blocks.map(|blocks| blocks.all),
             unlit_blocks: blocks.map(|blocks| blocks.unlit),
             seconds: record.map(|record| record.seconds),
+            rounds: record.and_then(|record| record.rounds),
+            attempts: frame.times.map_or(0, |times| times.attempts),
+            times: frame.times.into(),
             has_image: record.is_some_and(|record| record.output(Role::Image).is_some()),
             outputs: record.map_or_else(Vec::new, |record| record.outputs.iter().map(OutputJson::from).collect()),
         }
@@ -83,7 +113,10 @@ pub struct TaskJson {
     state: &'static str,
     workers: Vec<String>,
     attempts: u32,
+    /// Since the first of its leases, while it runs or is queued.
     seconds: Option<f64>,
+    #[serde(flatten)]
+    times: TimesJson,
     failure: Option<String>,
 }
 
@@ -101,6 +134,7 @@ impl From<&TaskStatus> for TaskJson {
             workers: status.workers.clone(),
             attempts: status.attempts,
             seconds: status.seconds,
+            times: status.times.into(),
             failure: status.failure.as_ref().map(ToString::to_string),
         }
     }

@@ -1,0 +1,97 @@
+//! The attempts of jobs that somebody looks at.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::Duration;
+
+use femc_model::{JobId, Refusal};
+use tokio::sync::{Mutex as AsyncMutex, OwnedMutexGuard};
+use tokio::time::Instant;
+
+use super::job::JobTimes;
+use crate::call::{AttemptPage, Call, JobShape};
+use crate::farm::Farm;
+
+/// Times of jobs, each kept while somebody asks for it.
+#[derive(Debug, Clone, Default)]
+pub struct Book(Arc<Mutex<BTreeMap<JobId, Slot>>>);
+
+#[derive(Debug, Clone)]
+struct Slot {
+    times: Arc<AsyncMutex<JobTimes>>,
+    used: Instant,
+    attempts: usize,
+}
+
+impl Book {
+    /// Most attempts of all jobs together that are kept, some 130 bytes each. The times of a job with more are not known.
+    pub const MOST: usize = 2_000_000;
+    /// How long a job is kept after the last question about it.
+    const KEPT: Duration = Duration::from_secs(60);
+
+    fn slots(&self) -> MutexGuard<'_, BTreeMap<JobId, Slot>> {
+        // Nothing panics under this lock.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn slot(&self, job: JobId) -> Arc<AsyncMutex<JobTimes>> {
+        let mut slots = self.slots();
+        if slots.is_empty() {
+            tokio::spawn(forget(Arc::downgrade(&self.0)));
+        }
+        let slot =
+            slots.entry(job).or_insert_with(|| Slot { times: Arc::default(), used: Instant::now(), attempts: 0 });
+        slot.used = Instant::now();
+        slot.times.clone()
+    }
+
+    /// Takes notice of a job's number of attempts; jobs that were asked for longest ago go, until all fit.
+    fn grown(&self, job: JobId, attempts: usize) {
+        let mut slots = self.slots();
+        if let Some(slot) = slots.get_mut(&job) {
+            slot.attempts = attempts;
+        }
+        while slots.values().map(|slot| slot.attempts).sum::<usize>() > Self::MOST {
+            let others = slots.iter().filter(|(other, _)| **other != job);
+            let Some(oldest) = others.min_by_key(|(_, slot)| slot.used).map(|(other, _)| *other) else { break };
+            slots.remove(&oldest);
+        }
+    }
+
+    /// The times of a job's attempts that have ended by now; `None`: there are more than [`Self::MOST`].
+    pub async fn of<S>(
+        &self,
+        farm: &Farm<S>,
+        job: JobId,
+        shape: &JobShape,
+    ) -> Result<Option<OwnedMutexGuard<JobTimes>>, Refusal> {
+        let mut times = self.slot(job).lock_owned().await;
+        loop {
+            let from = times.from;
+            let AttemptPage { attempts, next } = farm.ask(|reply| Call::Attempts { job, from, reply }).await?;
+            attempts.iter().for_each(|record| times.put(shape, record));
+            self.grown(job, times.len());
+            if times.len() > Self::MOST {
+                self.slots().remove(&job);
+                return Ok(None);
+            }
+            let Some(next) = next else { break };
+            times.from = next;
+        }
+        times.add_up();
+        Ok(Some(times))
+    }
+}
+
+/// Drops jobs that nobody has asked for lately; ends when there is none.
+async fn forget(slots: Weak<Mutex<BTreeMap<JobId, Slot>>>) {
+    loop {
+        tokio::time::sleep(Book::KEPT / 2).await;
+        let Some(slots) = slots.upgrade() else { return };
+        let mut slots = slots.lock().unwrap_or_else(PoisonError::into_inner);
+        slots.retain(|_, slot| slot.used.elapsed() < Book::KEPT);
+        if slots.is_empty() {
+            return;
+        }
+    }
+}

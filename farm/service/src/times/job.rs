@@ -1,0 +1,166 @@
+//! The attempts at one job's tasks, small enough to keep while somebody looks at the job.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
+
+use femc_model::{
+    AttemptRecord, Ending, FrameStatus, Grains, Stage, TaskKey, TaskState, TaskStatus, Tick, Times, Usage,
+};
+
+use super::sum::{Span, Sum};
+use crate::call::JobShape;
+
+/// An attempt, by its frame, by the number of its stage and by the task before it was cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Key {
+    frame: u32,
+    number: u16,
+    item: u32,
+    round: u32,
+    index: u32,
+    epoch: u64,
+}
+
+impl Key {
+    /// Attempts at all tasks of a frame.
+    fn of_frame(frame: u32) -> RangeInclusive<Self> {
+        let first = Self { frame, number: 0, item: 0, round: 0, index: 0, epoch: 0 };
+        first..=Self { number: u16::MAX, item: u32::MAX, ..first.last(u32::MAX) }
+    }
+
+    /// Attempts at a task in these rounds.
+    fn of_task(frame: u32, number: u16, item: u32, rounds: RangeInclusive<u32>) -> RangeInclusive<Self> {
+        let first = Self { frame, number, item, round: *rounds.start(), index: 0, epoch: 0 };
+        first..=first.last(*rounds.end())
+    }
+
+    fn last(self, round: u32) -> Self {
+        Self { round, index: u32::MAX, epoch: u64::MAX, ..self }
+    }
+}
+
+/// What is kept of an attempt.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Entry {
+    granted: Tick,
+    ended: Tick,
+    ending: Ending,
+    worker: u32,
+    /// Wait, wall and processor seconds as the worker measured them.
+    measured: Option<[f64; 3]>,
+}
+
+impl Entry {
+    fn span(&self) -> Span {
+        let usage = self.measured.map(|[wait, wall, cpu]| Usage { wait, wall, cpu, ..Usage::default() });
+        Span::new(self.granted, self.ended, usage)
+    }
+
+    /// Both notes of one attempt together.
+    fn merged(self, new: Self) -> Self {
+        let chosen = if new.ending >= self.ending { new } else { self };
+        Self { granted: self.granted.min(new.granted), measured: new.measured.or(self.measured), ..chosen }
+    }
+}
+
+/// The attempts at a job's tasks that have ended, and what they add up to.
+#[derive(Debug, Default)]
+pub struct JobTimes {
+    attempts: BTreeMap<Key, Entry>,
+    workers: Vec<String>,
+    frames: BTreeMap<u32, Times>,
+    /// Frames with attempts that are not in their sums yet.
+    stale: BTreeSet<u32>,
+    /// The note from which on the next reading begins.
+    pub(super) from: u64,
+}
+
+impl JobTimes {
+    /// Number of attempts.
+    pub fn len(&self) -> usize {
+        self.attempts.len()
+    }
+
+    /// Whether no attempt has ended.
+    pub fn is_empty(&self) -> bool {
+        self.attempts.is_empty()
+    }
+
+    /// Adds what was noted of an attempt, by the rules of [`femc_model::Attempts::put`].
+    pub fn put(&mut self, shape: &JobShape, record: &AttemptRecord) {
+        let Stage { frame, round, number, .. } = record.task.stage;
+        let Some(template) = shape.spec.graph.stage(number) else { return };
+        let item = Grains::of(template, round, None, shape.cut).task(record.task.index);
+        let key = Key { frame, number, item, round, index: record.task.index, epoch: record.epoch.0 };
+        let new = Entry {
+            granted: record.granted,
+            ended: record.ended,
+            ending: record.ending,
+            worker: self.worker(&record.worker),
+            measured: record.usage.map(|usage| [usage.wait, usage.wall, usage.cpu]),
+        };
+        let known = self.attempts.get(&key).copied();
+        let merged = known.map_or(new, |known| known.merged(new));
+        // The last page is read again each time.
+        if known != Some(merged) {
+            self.attempts.insert(key, merged);
+            self.stale.insert(frame);
+        }
+    }
+
+    /// The number under which a worker's name is kept.
+    fn worker(&mut self, name: &str) -> u32 {
+        // A job has few workers, and the last one comes again.
+        let known = self.workers.iter().rposition(|known| known == name);
+        known.unwrap_or_else(|| {
+            self.workers.push(name.to_owned());
+            self.workers.len() - 1
+        }) as u32
+    }
+
+    /// Adds up the frames that have new attempts.
+    pub fn add_up(&mut self) {
+        for frame in std::mem::take(&mut self.stale) {
+            let sum: Sum = self.attempts.range(Key::of_frame(frame)).map(|(_, entry)| entry.span()).collect();
+            self.frames.extend(sum.times().map(|times| (frame, times)));
+        }
+    }
+
+    /// Times of a frame, or of the job's own stages; `None`: no attempt at its tasks has ended.
+    pub fn frame(&self, frame: u32) -> Option<Times> {
+        self.frames.get(&frame).copied()
+    }
+
+    /// Processor seconds and wall seconds of all frames and of the job's own stages.
+    pub fn job(&self) -> (f64, f64) {
+        let all = self.frames.values();
+        (all.clone().map(|times| times.processor).sum(), all.map(|times| times.wall).sum())
+    }
+
+    /// Fills in the times of a frame.
+    pub fn tell_frame(&self, status: &mut FrameStatus) {
+        status.times = self.frame(status.frame);
+    }
+
+    /// Fills in the times of a task; of one that is done or failed also the workers, of one that is done its attempts.
+    pub fn tell_task(&self, status: &mut TaskStatus) {
+        let TaskKey { stage: Stage { frame, round, number, .. }, index: item, .. } = status.task;
+        let rounds = if status.is_of_all_rounds { 0..=u32::MAX } else { round..=round };
+        let mut entries: Vec<&Entry> =
+            self.attempts.range(Key::of_task(frame, number, item, rounds)).map(|(_, entry)| entry).collect();
+        status.times = entries.iter().map(|entry| entry.span()).collect::<Sum>().times();
+        let Some(times) = status.times else { return };
+        if matches!(status.state, TaskState::Done | TaskState::Failed) {
+            entries.sort_by_key(|entry| Reverse(entry.ending));
+            for name in entries.iter().filter_map(|entry| self.workers.get(entry.worker as usize)) {
+                if !status.workers.contains(name) {
+                    status.workers.push(name.clone());
+                }
+            }
+        }
+        if status.state == TaskState::Done {
+            status.attempts = times.attempts;
+        }
+    }
+}

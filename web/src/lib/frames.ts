@@ -1,0 +1,65 @@
+/** Measures of frames: by which they are colored, drawn and sorted. */
+
+import { percent, seconds } from './format';
+import type { Frame } from './types';
+
+export interface Measure {
+  key: string;
+  title: string;
+  hint: string;
+  of: (frame: Frame) => number | null;
+  format: (value: number | null) => string;
+}
+
+/** Times of a frame; the first is that of the frame alone, whatever else the farm does. */
+export const TIMES: readonly Measure[] = [
+  {
+    key: 'processor',
+    title: 'processor',
+    hint: 'Processor time of all attempts at its tasks',
+    of: (frame) => frame.processor_seconds ?? null,
+    format: seconds,
+  },
+  {
+    key: 'wall',
+    title: 'at workers',
+    hint: 'Time that workers spent in attempts at its tasks, summed',
+    of: (frame) => frame.wall_seconds ?? null,
+    format: seconds,
+  },
+  {
+    key: 'waiting',
+    title: 'waiting',
+    hint: 'Time from its first lease to the end of the last one in which no attempt ran: for other tasks, also of other jobs',
+    of: (frame) => frame.waiting_seconds ?? null,
+    format: seconds,
+  },
+  {
+    key: 'seconds',
+    title: 'first to last',
+    hint: 'Time from its first lease to its last result, waiting included',
+    of: (frame) => frame.seconds,
+    format: seconds,
+  },
+];
+
+/** All measures. */
+export const MEASURES: readonly Measure[] = [
+  ...TIMES,
+  {
+    key: 'error',
+    title: 'error',
+    hint: 'Relative error of its worst block',
+    of: (frame) => frame.relative_error,
+    format: percent,
+  },
+];
+
+/** The frame whose attempts took the most processor time. */
+export function slowest(frames: readonly Frame[]): Frame | null {
+  let most: Frame | null = null;
+  for (const frame of frames) {
+    if (frame.processor_seconds != null && frame.processor_seconds > (most?.processor_seconds ?? 0)) most = frame;
+  }
+  return most;
+}

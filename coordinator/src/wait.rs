@@ -12,7 +12,7 @@ use femc_schedule::Command;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Duration;
 
-use crate::actor::{Actor, ROSTER, SessionEvent};
+use crate::actor::{Actor, PendingReply, ROSTER, SessionEvent};
 use crate::config::CoordinatorError;
 
 /// Where calls come in, and the end.
@@ -45,6 +45,7 @@ impl<Q: Queue> Actor<Q> {
                         tracing::error!(%error, "waits for room; nothing is lost, and nothing new is taken");
                         self.clock.stop();
                         self.metrics.waits(Some(error.to_string()));
+                        self.answer_early(&error, pending.commands);
                     }
                     waits = true;
                     self.pause(error, &pending, doors).await?;
@@ -57,6 +58,20 @@ impl<Q: Queue> Actor<Q> {
                     }
                     return Ok(appended?);
                 }
+            }
+        }
+    }
+
+    /// Whoever waits for an answer of these commands hears now why there is none. What was asked for is done all the same when there is
+    /// room: a submission with a key can be repeated, and steering twice is steering once.
+    fn answer_early(&mut self, error: &QueueError, commands: &[Command]) {
+        for command in commands {
+            let Command::Answer { request, answer: Ok(_) } = command else { continue };
+            let no = || Refusal::Unavailable { message: format!("{error}; it is done as soon as there is room") };
+            match self.pending.remove(request) {
+                Some(PendingReply::Submit(reply)) => refuse(reply, no()),
+                Some(PendingReply::Control(reply)) => refuse(reply, no()),
+                None => {}
             }
         }
     }

@@ -252,11 +252,15 @@ async fn patiently_telling<T>(
     mut away: impl FnMut(Duration),
 ) -> Result<T, CallError> {
     let begun = Clock.now();
+    let mut is_told = false;
     loop {
         match call().await {
-            Err(CallError::Unreachable { .. } | CallError::Refused(Refusal::Unavailable { .. }))
+            Err(error @ (CallError::Unreachable { .. } | CallError::Refused(Refusal::Unavailable { .. })))
                 if Clock.since(begun) < PATIENCE =>
             {
+                if matches!(error, CallError::Refused(_)) && !std::mem::replace(&mut is_told, true) {
+                    tracing::error!("{error}; trying again for {} s", PATIENCE.as_secs());
+                }
                 away(Clock.since(begun));
                 tokio::time::sleep(RETRY).await;
             }

@@ -186,6 +186,47 @@ async fn a_full_log_ends_nothing_tells_nothing_and_goes_on_when_there_is_room() 
 }
 
 #[tokio::test]
+async fn a_command_that_meets_the_full_log_hears_why_at_once_and_is_done_when_there_is_room() {
+    let log = Narrow::default();
+    let (farm, client) = farm(&log, Config::default()).await;
+    let job = client.submit(None, spec()).await.unwrap();
+    log.fill(true);
+    // The first that is to be written: those that come after it are turned away.
+    let Refusal::Unavailable { message } = refusal(client.control(job, Control::Pause).await) else {
+        panic!("another refusal")
+    };
+    assert!(
+        message.contains("no room for the log in the test") && message.contains("as soon as there is room"),
+        "{message}"
+    );
+    log.refuses(2).await;
+    log.fill(false);
+    let paused = async {
+        while !client.listing().await.is_ok_and(|farm| farm.jobs[0].state == JobState::Paused) {
+            tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(std::time::Duration::from_secs(60), paused).await.expect("what was asked for is done");
+    log.fill(true);
+    let key = || Some("once".to_owned());
+    assert!(matches!(refusal(client.submit(key(), spec()).await), Refusal::Unavailable { .. }));
+    log.refuses(1).await;
+    log.fill(false);
+    let submitted = async {
+        loop {
+            match client.submit(key(), spec()).await {
+                Ok(job) => return job,
+                Err(_) => tokio::time::sleep(std::time::Duration::from_millis(20)).await,
+            }
+        }
+    };
+    let second = tokio::time::timeout(std::time::Duration::from_secs(60), submitted).await.expect("it is taken");
+    let jobs: Vec<JobId> = client.listing().await.unwrap().jobs.iter().map(|job| job.job).collect();
+    assert_eq!(jobs, [job, second], "once");
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
 async fn what_workers_say_while_the_log_is_full_is_heard_when_there_is_room() {
     let log = Narrow::default();
     let (farm, client) = farm(&log, Config::default()).await;

@@ -240,6 +240,8 @@ async fn a_part_is_sent_alone_and_one_behind_the_end_is_refused_with_the_length(
     for range in ["bytes=0-1,5-6", "bytes=x", "frames=0-1"] {
         assert_eq!(server.get(path, &[&format!("Range: {range}")]).await.status, 200, "{range}");
     }
+    let head = server.ask(&format!("HEAD /api/v1/jobs/{path}"), &["Range: bytes=0-1"]).await;
+    assert_eq!((head.status, head.header("content-length")), (200, "9000001"), "ranges are for GET alone");
     let current = format!("If-Range: {}", server.tag("image"));
     assert_eq!(server.get(path, &["Range: bytes=0-1", &current]).await.status, 206);
     assert_eq!(server.get(path, &["Range: bytes=0-1", "If-Range: \"other\""]).await.status, 200);

@@ -88,6 +88,13 @@ impl Frames {
         is_even.then(|| Self { runs: vec![Run { first, last, step }] })
     }
 
+    /// These frames, ascending and not empty, in any distances.
+    #[cfg(feature = "openjd")]
+    pub fn list(frames: &[u32]) -> Self {
+        let single = |&frame: &u32| Run { first: frame, last: frame, step: 1 };
+        Self::of(frames).unwrap_or_else(|| Self { runs: frames.iter().map(single).collect() })
+    }
+
     /// Its frames that `frames` has, ascending; the first that it has not, otherwise.
     /// - `frames`: ascending.
     pub fn among(&self, frames: &[u32]) -> Result<Vec<u32>, u32> {

@@ -13,6 +13,11 @@ fn seconds(row: &Value, column: &str) -> f64 {
     row[column].as_f64().unwrap_or_else(|| panic!("{column} of {row}"))
 }
 
+/// Whether an attempt was at a task of this job.
+fn is_of(row: &Value, job: &str) -> bool {
+    row["job"].as_u64().is_some_and(|number| Ok(number) == job.parse())
+}
+
 #[test]
 fn a_finished_frame_s_image_waits_for_no_render_task_of_another_owner() {
     let place = Place::new();
@@ -23,7 +28,7 @@ fn a_finished_frame_s_image_waits_for_no_render_task_of_another_owner() {
     let long: Vec<String> = (0..6).map(|_| submit(&place, &url, "--spp 1000 --frames 1..8 --owner ann")).collect();
     let long = long.join(" ");
     let renders = |all: &[Value]| -> Vec<Value> {
-        let is_long = |row: &&Value| long.split(' ').any(|job| row["job"].to_string() == job);
+        let is_long = |row: &&Value| long.split(' ').any(|job| is_of(row, job));
         all.iter().filter(is_long).filter(|row| row["stage"] == "render").cloned().collect()
     };
     farm.wait_until("render tasks on both workers", || {
@@ -43,7 +48,7 @@ fn a_finished_frame_s_image_waits_for_no_render_task_of_another_owner() {
     let bound = shortest.max(1.0);
     println!("the shortest render task took {shortest:.3} s");
     let (mut images, mut beside) = (0, 0);
-    for image in all.iter().filter(|row| row["job"].to_string() == short && row["stage"] == "image") {
+    for image in all.iter().filter(|row| is_of(row, &short) && row["stage"] == "image") {
         let is_before =
             |row: &&Value| row["job"] == image["job"] && row["frame"] == image["frame"] && row["stage"] != "image";
         let ready = all.iter().filter(is_before).map(|row| seconds(row, "ended_seconds")).fold(0.0, f64::max);

@@ -203,10 +203,10 @@ async fn a_command_that_meets_the_full_log_hears_why_at_once_and_is_done_when_th
     log.fill(false);
     let paused = async {
         while !client.listing().await.is_ok_and(|farm| farm.jobs[0].state == JobState::Paused) {
-            tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+            tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    tokio::time::timeout(std::time::Duration::from_secs(60), paused).await.expect("what was asked for is done");
+    tokio::time::timeout(Duration::from_secs(60), paused).await.expect("what was asked for is done");
     log.fill(true);
     let key = || Some("once".to_owned());
     assert!(matches!(refusal(client.submit(key(), spec()).await), Refusal::Unavailable { .. }));
@@ -216,11 +216,11 @@ async fn a_command_that_meets_the_full_log_hears_why_at_once_and_is_done_when_th
         loop {
             match client.submit(key(), spec()).await {
                 Ok(job) => return job,
-                Err(_) => tokio::time::sleep(std::time::Duration::from_millis(20)).await,
+                Err(_) => tokio::time::sleep(Duration::from_millis(20)).await,
             }
         }
     };
-    let second = tokio::time::timeout(std::time::Duration::from_secs(60), submitted).await.expect("it is taken");
+    let second = tokio::time::timeout(Duration::from_secs(60), submitted).await.expect("it is taken");
     let jobs: Vec<JobId> = client.listing().await.unwrap().jobs.iter().map(|job| job.job).collect();
     assert_eq!(jobs, [job, second], "once");
     farm.stop().await.unwrap();

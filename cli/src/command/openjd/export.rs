@@ -156,9 +156,8 @@ fn chunks(FramesOf { all, chunk }: FramesOf<'_>) -> Column {
     if chunk.get() == 1 {
         return column("Frame", Range::frames(all));
     }
-    // Frames of a job file have one step.
-    let text = |some: &[u32]| Frames::of(some).map(|frames| frames.to_string());
-    column("Frames", Range::Texts(all.chunks(chunk.get()).filter_map(text).collect()))
+    let text = |some: &[u32]| Frames::list(some).to_string();
+    column("Frames", Range::Texts(all.chunks(chunk.get()).map(text).collect()))
 }
 
 /// Flags of what is the same for all variants.

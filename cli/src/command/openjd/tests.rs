@@ -181,7 +181,7 @@ fn job(text: &str) -> JobFile {
 /// The values of every variant with its frames, as a line each; sorted, because axes may come back in another order.
 fn variants(job: &JobFile, all: &[u32]) -> Vec<String> {
     let line = |settings: &crate::args::SettingsArgs| {
-        let frames = settings.frames.map_or(all.to_vec(), |frames| frames.resolve(u32::MAX).expect("frames"));
+        let frames = settings.frames.as_ref().map_or(all.to_vec(), |frames| frames.resolve(u32::MAX).expect("frames"));
         let changes = crate::request::Change::all(settings);
         let values: Vec<String> =
             changes.iter().filter(|change| change.name() != "frames").map(|c| format!("{c:?}")).collect();
@@ -210,7 +210,8 @@ fn an_exported_job_comes_back_as_the_same_variants() {
         "[sweep]\n\"a.frame.x\" = [1, 2]\n\"b.frame.x\" = [1, 2]\n\"light.9.5\" = [0, 1]",
     ] {
         let before = job(text);
-        let frames: Vec<u32> = before.settings.frames.map_or(all.clone(), |frames| frames.resolve(7).expect("frames"));
+        let frames: Vec<u32> =
+            before.settings.frames.as_ref().map_or(all.clone(), |frames| frames.resolve(7).expect("frames"));
         for (chunk, name) in [(1, "/t/out/job.yaml"), (3, "/t/out/job.json")] {
             let chunk = NonZeroUsize::new(chunk).expect("not 0");
             let exported = export(&before, FramesOf { all: &frames, chunk }, Path::new(name)).expect(text);

@@ -141,7 +141,7 @@ impl Change {
         let given = [
             camera.clone().map(Self::Camera),
             size.map(Self::Size),
-            frames.map(Self::Frames),
+            frames.clone().map(Self::Frames),
             spp.map(Self::Spp),
             error.map(Self::Error),
             time.map(Self::Time),

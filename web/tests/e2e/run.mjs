@@ -477,6 +477,9 @@ await step('workers: drained, taken back, killed while the page is open', async 
 });
 
 await step('the coordinator is killed and started again: the page says so, and goes on', async () => {
+  await visit(`/jobs/${jobs.huge}`);
+  const submitted = current.locator('dl > div', { hasText: 'Submitted' }).locator('dd');
+  const date = await submitted.textContent();
   await visit('/jobs');
   await farm.kill(farm.leader);
   await current.getByText(/^Connection lost/).waitFor({ timeout: 15_000 });
@@ -492,6 +495,28 @@ await step('the coordinator is killed and started again: the page says so, and g
   await current.locator('.row.body', { hasText: 'late' }).waitFor();
   await until(() => farm.job(late).state === 'done', 'the farm goes on', 120);
   await current.locator('.row.body', { hasText: 'late' }).getByText('done').waitFor();
+  await visit(`/jobs/${jobs.huge}`);
+  claim(/\d/.test(date ?? ''), `a date: ${date}`);
+  equal(await submitted.textContent(), date, 'the outage does not move the date of a submission');
+});
+
+await step('a job is found by its label, shows its notes, and is deleted after a question', async () => {
+  const more = ['--size', '16x16', '--spp', '1', '--name', 'draft', '--comment', 'before the change', '--label', 'shot=12'];
+  const draft = farm.submit('cornell.mgf', ...more);
+  await until(() => farm.job(draft).state === 'done', 'it is done', 120);
+  await visit('/jobs?filter=label:shot=12');
+  equal(await current.locator('.row.body').count(), 1, 'one job has the label');
+  await current.getByRole('link', { name: 'draft' }).click();
+  await current.getByText('before the change').waitFor();
+  await shot('notes');
+  await current.getByRole('link', { name: 'shot=12' }).click();
+  await current.locator('.row.body').getByRole('link', { name: 'draft' }).click();
+  await current.getByRole('button', { name: 'Delete', exact: true }).click();
+  await current.getByRole('button', { name: 'Keep it' }).last().click();
+  claim(farm.job(draft).state === 'done', 'kept');
+  await current.getByRole('button', { name: 'Delete', exact: true }).click();
+  await current.getByRole('button', { name: 'Delete the job' }).click();
+  await current.getByText(`There is no job ${draft}`).waitFor();
 });
 
 await step('cancel asks first; a retry takes it up again', async () => {

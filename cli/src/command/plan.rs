@@ -124,7 +124,7 @@ pub fn run(mut args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         return sweep::plan(&args.scene, &args.settings, run, args.format.json, say);
     }
     let asked = Asked::open(&args.scene, args.settings, say)?;
-    let asked = if run == Trial::Run { asked.decided()? } else { asked };
+    let asked = if run == Trial::Run { asked.decided(say)? } else { asked };
     let (plan, frames) = (&asked.plan, asked.plan.frames.len() as u64);
     let rounds = plan.rounds.len();
     let least = match asked.settings.stop {

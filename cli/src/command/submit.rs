@@ -71,7 +71,7 @@ pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
     if painting.is_some() {
         ask_for_layers(&mut args.settings);
     }
-    let asked = Asked::open(&args.scene, args.settings, say)?.decided()?;
+    let asked = Asked::open(&args.scene, args.settings, say)?.decided(say)?;
     asked.explain(say);
     let notes = args.notes.over(asked.notes.clone())?;
     asked.warn_of_lost_light(say);

@@ -5,7 +5,7 @@ use super::{JobFile, Stated};
 use crate::args::{Filter, Method, SettingsArgs, Stats};
 use crate::exit::{Failure, failed, usage};
 use crate::output::faults::{self, Line};
-use crate::output::{Say, human};
+use crate::output::{Busy, Say, human};
 use crate::threads;
 use crate::values::{Frames, Size};
 use femc_fault::{Pretense, pretended};
@@ -190,13 +190,15 @@ impl Asked {
     }
 
     /// With a method, where the settings leave it open: a pilot says whether a first pass is worth what it takes.
-    pub fn decided(mut self) -> Result<Self, Failure> {
+    pub fn decided(mut self, say: Say) -> Result<Self, Failure> {
         if self.settings.method != femc_pipeline::Method::Auto {
             return Ok(self);
         }
         let failed = |e: &dyn std::fmt::Display| failed(format!("{}: {e}", self.path.display()));
         let pool = threads::pool(self.threads)?;
+        let busy = Busy::new(say, "a pilot of the first frame says whether a first pass pays");
         let choice = pool.install(|| auto::choose(&self.source, &self.settings, &self.plan)).map_err(|e| failed(&e))?;
+        drop(busy);
         if choice.method == femc_pipeline::Method::Pt {
             if let Some(left) = self.plan.left_out.iter_mut().find(|left| left.what == FIRST_PASS) {
                 left.reason.clone_from(&choice.reason);

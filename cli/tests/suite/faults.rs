@@ -159,6 +159,8 @@ fn effects(place: &Place) -> (Vec<String>, bool) {
             | Fact::Submitted { .. }
             | Fact::Built { .. }
             | Fact::Used { .. }
+            | Fact::Metered { .. }
+            | Fact::Announced { .. }
             | Fact::Died { .. }
             | Fact::Logged { .. } => {}
             other => panic!("something failed, was lost or began anew: {other:?}"),

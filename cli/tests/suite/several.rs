@@ -126,7 +126,11 @@ impl Farm {
                     *effects.entry(task).or_insert(0) += 1;
                 }
                 Fact::Opened { .. } => terms += 1,
-                Fact::Logged { .. } | Fact::Built { .. } | Fact::Used { .. } => {}
+                Fact::Logged { .. }
+                | Fact::Built { .. }
+                | Fact::Used { .. }
+                | Fact::Metered { .. }
+                | Fact::Announced { .. } => {}
                 other => others.push(other),
             }
         }

@@ -93,7 +93,7 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let report_file = args.report.as_deref().map(ReportFile::to).transpose()?;
     let asked = match &args.replay {
         Some(frame) => Asked::again(&args.scene, frame, args.settings, say)?,
-        None => Asked::open(&args.scene, args.settings, say)?.decided()?,
+        None => Asked::open(&args.scene, args.settings, say)?.decided(say)?,
     };
     let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
     check_pictures(&target, &args.extras, args.exposure, style.is_some())?;

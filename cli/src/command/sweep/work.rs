@@ -99,7 +99,7 @@ impl Work {
             // All variants have one method: they are there to be compared.
             if work.is_none() {
                 asked.warn(say);
-                asked = asked.decided()?;
+                asked = asked.decided(say)?;
                 asked.explain(say);
                 if asked.plan.method == femc_pipeline::Method::Femc {
                     settings.method = Some(Method::Femc);

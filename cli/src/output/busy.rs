@@ -1,0 +1,67 @@
+//! A sign of life for work whose length nobody knows beforehand.
+
+use super::Say;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{self, IsTerminal};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Between two lines where stderr is no terminal.
+const PLAIN_EVERY: Duration = Duration::from_secs(5);
+/// Between two pictures of a spinner.
+const TICK: Duration = Duration::from_millis(100);
+
+/// Says on stderr what is being done and for how long, until it is dropped: a spinner on a terminal, else a line every few seconds;
+/// nothing with `--quiet`.
+#[derive(Debug)]
+pub struct Busy(Form);
+
+#[derive(Debug)]
+enum Form {
+    Silent,
+    Spinner(ProgressBar),
+    Lines { done: Sender<()>, lines: Option<JoinHandle<()>> },
+}
+
+impl Busy {
+    /// Begins.
+    /// - `work`: what is being done, like "a pilot compares the methods".
+    pub fn new(say: Say, work: &'static str) -> Self {
+        if say.quiet() {
+            return Self(Form::Silent);
+        }
+        if io::stderr().is_terminal() {
+            let spinner = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_message(work);
+            let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
+            spinner.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+            spinner.enable_steady_tick(TICK);
+            return Self(Form::Spinner(spinner));
+        }
+        let (done, ended) = channel::<()>();
+        let begun = Instant::now();
+        let tell = move || {
+            while let Err(RecvTimeoutError::Timeout) = ended.recv_timeout(PLAIN_EVERY) {
+                say.note(format!("{work}, {} s", begun.elapsed().as_secs()));
+            }
+        };
+        // Without a thread there is no sign of life; the work goes on.
+        let lines = std::thread::Builder::new().name("busy".to_owned()).spawn(tell).ok();
+        Self(Form::Lines { done, lines })
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        match &mut self.0 {
+            Form::Silent => {}
+            Form::Spinner(spinner) => spinner.finish_and_clear(),
+            Form::Lines { done, lines } => {
+                let _ = done.send(());
+                if let Some(lines) = lines.take() {
+                    let _ = lines.join();
+                }
+            }
+        }
+    }
+}

@@ -1,8 +1,8 @@
 //! Every message of the wire as a decoder of bytes, for fuzzing: generated types stay in here all the same.
 
 use femc_model::{
-    Artifact, AttemptRecord, Crew, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, Refusal,
-    ToWorker, WorkerName,
+    Artifact, AttemptRecord, Crew, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord,
+    OwnerUsage, Refusal, ToWorker, WorkerName,
 };
 use prost::Message;
 
@@ -108,6 +108,9 @@ pub const DECODERS: &[Decoder] = decoders! {
         Some(wire::backup_reply::Part::Log(_)) => true,
         None => false,
     };
+    UsageRequest => |_| true;
+    // Seconds as doubles: sums beyond 2^53 microseconds are rounded on their way.
+    UsageReply => |wire| wire.usage.into_iter().all(|usage| OwnerUsage::try_from(usage).is_ok());
     ListWorkersRequest => |_| true;
     ListWorkersReply => there_and_back::<_, Crew>;
     DrainWorkersRequest => there_and_back::<_, (WorkerName, Drain)>;

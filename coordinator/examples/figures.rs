@@ -282,7 +282,14 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
     let (mut ledger, mut since) = (Ledger::default(), 0);
     let mut facts = vec![
         Fact::Opened { incarnation: 1 },
-        Fact::Submitted { job: JobId(1), key: None, spec: Box::new(job(1000, 1000)), cut: Cut::Whole, date: None },
+        Fact::Submitted {
+            job: JobId(1),
+            key: None,
+            spec: Box::new(job(1000, 1000)),
+            cut: Cut::Whole,
+            date: None,
+            announces: true,
+        },
     ];
     for frame in 1..=frames {
         let mut put = |kind, number, index, artifact| {

@@ -95,7 +95,7 @@ pub(crate) struct Actor<Q> {
     facts: Vec<(Tick, Fact)>,
     /// What attempts took, not durable yet.
     attempts: Ended,
-    /// What jobs are to reach.
+    /// Relative errors at which the frames of jobs stop.
     pub(crate) targets: Targets,
     /// Who has been there.
     pub(crate) roster: Roster,

@@ -1,7 +1,7 @@
 //! Commands of the scheduler as messages, and statuses for those who watch.
 
 use femc_fault::{Point, pass};
-use femc_model::{Assignment, JobId, JobStatus, Refusal, Tick, ToWorker, WorkerId};
+use femc_model::{Assignment, JobId, JobNotes, JobSpec, JobStatus, Refusal, Tick, ToWorker, WorkerId};
 use femc_queue::Queue;
 use femc_schedule::{Answer, Command, Event, RequestId};
 use tokio::sync::watch;
@@ -60,7 +60,9 @@ impl<Q: Queue> Actor<Q> {
         let is_known = self.workers.get(&worker).is_none_or(|known| known.jobs.get(&job).is_some());
         if !is_known && let Some(spec) = self.scheduler.spec(job).cloned() {
             self.workers.entry(worker).and_modify(|known| known.jobs.put(job, ()));
-            self.tell(worker, ToWorker::Job { job, spec: Box::new(spec) });
+            // Workers have no use for notes, and the URL in them may be a secret.
+            let spec = Box::new(JobSpec { notes: JobNotes::default(), ..spec });
+            self.tell(worker, ToWorker::Job { job, spec });
         }
         self.tell(worker, ToWorker::Assign(assignment));
     }

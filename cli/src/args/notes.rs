@@ -19,7 +19,7 @@ pub struct NotesArgs {
 }
 
 impl NotesArgs {
-    /// These notes, over those of a job file.
+    /// Notes of a job file with those of the command line in their place.
     pub fn over(&self, file: JobNotes) -> Result<JobNotes, Failure> {
         let mut notes = file;
         if let Some(comment) = &self.comment {

@@ -73,7 +73,7 @@ enum Action {
     ///
     /// Write the authority's certificate alone, for browsers and other programs. Browsers warn of a coordinator with --identity,
     /// because they do not know the farm's authority. They stop after this file was imported as the certificate of an authority.
-    /// It has no key and is no secret. Whoever imports it compares the SHA-256 fingerprint first.
+    /// The file contains no key and is no secret. Compare its SHA-256 fingerprint before you import it.
     #[command(after_help = "Examples:\n  \
         femc ca export -o farm.crt\n  \
         openssl x509 -in farm.crt -noout -fingerprint -sha256    # the same fingerprint, elsewhere")]

@@ -217,7 +217,7 @@ impl Farm {
         self.client.drain(worker, drain).await.map_err(map_call_error)
     }
 
-    /// What the owners' jobs used of the farm, by month and owner.
+    /// Usage of the farm, by month and owner.
     pub async fn usage(&self) -> Result<Vec<OwnerUsage>, Failure> {
         self.client.usage().await.map_err(map_call_error)
     }

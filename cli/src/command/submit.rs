@@ -41,7 +41,7 @@ pub struct SubmitArgs {
     /// Workers that may take it have all of these
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     tags: Vec<String>,
-    /// Who the job belongs to [default: the user's name]
+    /// Owner of the job [default: the user's name]
     #[arg(long, value_name = "NAME")]
     owner: Option<String>,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! `femc usage`: what the owners' jobs used of the farm, by month.
+//! `femc usage`: usage of the farm, by month and owner.
 
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
@@ -9,7 +9,7 @@ use femc_model::{Month, OwnerUsage};
 use femc_reports::attempts::{Json, csv, human};
 use femc_service::view::usage_columns;
 
-/// Print what the owners' jobs used of the farm, by month: jobs, frames, samples, worker and processor time
+/// Print the usage of the farm by month and owner: jobs, frames, samples, worker and processor time
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc usage                                   # every owner and month\n  \

@@ -1,4 +1,4 @@
-//! A sign of life for work whose length nobody knows beforehand.
+//! A spinner for work of unknown length, such as the pilot of a job.
 
 use super::Say;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -45,7 +45,7 @@ impl Busy {
                 say.note(format!("{work}, {} s", begun.elapsed().as_secs()));
             }
         };
-        // Without a thread there is no sign of life; the work goes on.
+        // Without a thread there are no lines; the work goes on.
         let lines = std::thread::Builder::new().name("busy".to_owned()).spawn(tell).ok();
         Self(Form::Lines { done, lines })
     }

@@ -93,7 +93,7 @@ fn the_end_of_a_job_is_posted_until_it_is_taken_signed_and_only_to_where_the_coo
         assert_eq!(one.body["data"]["labels"]["shot"], "12");
         assert_eq!(one.body["data"]["comment"], "a draft");
     }
-    // It was taken, and that is durable when the next one is told: nobody tells it again.
+    // The coordinator makes durable that the first end is announced before it sends the message about the second.
     let second = submit(&place, &url, &["--frames", "2", "--notify", &notify]);
     place.run(&format!("cancel {second} --server {url}")).exits(0);
     assert_eq!(next(&received).body["data"]["job"].to_string(), second);

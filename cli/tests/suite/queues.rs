@@ -81,7 +81,7 @@ fn a_lone_worker_on_which_every_task_fails_pauses_and_status_says_so() {
     assert!(all.iter().all(|row| row["ending"] == "failed" && row["worker"] == "sick"), "{all:?}");
     let begins: Vec<f64> = all.iter().map(|row| seconds(row, "began_seconds")).collect();
     println!("attempts began after {begins:.1?} s");
-    // Three fail, and then those that waited behind them. Pauses of 1, 2, 4 and 8 s follow, of which no load makes one shorter.
+    // Three tasks fail, then the tasks in the queue behind them. Pauses of 1, 2, 4 and 8 s follow; load cannot make a pause shorter.
     let in_first = |seconds: f64| begins.iter().filter(|&&began| began - begins[0] < seconds).count();
     assert!(in_first(0.9) <= 6, "{begins:?}");
     assert!(in_first(14.0) <= 10, "{begins:?}");

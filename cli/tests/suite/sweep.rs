@@ -231,7 +231,7 @@ fn queued_and_not_waited_for_it_prints_the_jobs_and_is_collected_later() {
     assert_eq!(report["jobs"][0]["job"], 5, "{report}");
     place.run(&format!("watch 4 --server {url}")).exits(0);
     place.run(&format!("fetch 4 -o fetched --server {url}")).exits(0);
-    // Files of a job are named by what varies, those of a sweep's folder lie in folders of that name.
+    // `femc fetch` names files by the job, and the job's name has the variant; a sweep has a folder for each variant.
     let (fetched, own) = ("fetched/fog-sigma_s=0.2,ed=300.0002.exr", "out/sigma_s=0.2,ed=300/fog.0002.exr");
     assert_eq!(pixels(&place.path(fetched)), pixels(&place.path(own)));
 }

@@ -1,8 +1,8 @@
 //! Telling others that a job has ended: a message to the URL that the job names, and a command of this machine.
 //!
 //! Both happen at least once for each end, also where the coordinator dies in between: the log says which ends are announced. A
-//! message is JSON, signed as [Standard Webhooks](https://www.standardwebhooks.com) has it, and sent again until it is taken; a
-//! command runs once, however it ends.
+//! message is JSON, signed as [Standard Webhooks](https://www.standardwebhooks.com) has it, and sent again until it is taken. A
+//! command is not repeated when it fails.
 
 mod post;
 mod run;
@@ -26,7 +26,7 @@ use post::Poster;
 pub use signature::{KeyError, NotifyKey};
 pub use target::{PrefixError, UrlPrefix};
 
-/// Whom a coordinator tells of the ends of jobs.
+/// Listeners to the ends of jobs: URLs that jobs may name, and a command.
 #[derive(Debug, Clone, Default)]
 pub struct Announce {
     /// URLs that jobs may name begin with one of these; none: jobs may name no URL.
@@ -77,7 +77,7 @@ pub(crate) struct Announcer {
     commands: Arc<Semaphore>,
     under_way: BTreeSet<(JobId, Tick)>,
     tell: mpsc::Sender<(JobId, Tick)>,
-    /// Ends of which everybody was told.
+    /// Ends that are announced: their message was taken or given up, and their command has run.
     pub(crate) told: mpsc::Receiver<(JobId, Tick)>,
 }
 
@@ -111,7 +111,9 @@ impl Announcer {
                 match target::allowed(&config.allowed, url) {
                     Ok(url) => poster.post(&url, &end.id, &end.body).await,
                     // Allowed when the job was submitted.
-                    Err(message) => tracing::warn!(job = end.job.0, "nobody is notified: {message}"),
+                    Err(message) => {
+                        tracing::warn!(job = end.job.0, "the message about the job's end is not sent: {message}")
+                    }
                 }
             };
             let ran = async {
@@ -136,15 +138,15 @@ impl<Q: Queue> Actor<Q> {
         if !self.announcer.under_way.insert((job, ended)) {
             return;
         }
-        let Ok(status) = self.scheduler.status(job, self.clock.now()) else { return };
-        if !self.announcer.has_listeners(&status.notes) {
+        if !self.scheduler.spec(job).is_some_and(|spec| self.announcer.has_listeners(&spec.notes)) {
             self.echoes.push_back(Event::Announced { job, ended });
             return;
         }
+        let Ok(status) = self.scheduler.status(job, self.clock.now()) else { return };
         match end(job, ended, status) {
             Ok(end) => self.announcer.begin(end),
             Err(error) => {
-                tracing::error!(job = job.0, %error, "nobody is told of the job's end");
+                tracing::error!(job = job.0, %error, "the job's end is not announced");
                 self.echoes.push_back(Event::Announced { job, ended });
             }
         }

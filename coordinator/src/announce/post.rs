@@ -4,10 +4,11 @@ use std::error::Error;
 use std::time::Duration;
 
 use bytes::Bytes;
+use femc_store::Plain;
 use http::header::{CONTENT_TYPE, USER_AGENT};
 use http::{Request, StatusCode};
 use http_body_util::Full;
-use hyper_rustls::{HttpsConnector, HttpsConnectorBuilder};
+use hyper_rustls::HttpsConnector;
 use hyper_util::client::legacy::{Client, connect};
 use hyper_util::rt::{TokioExecutor, TokioTimer};
 use tokio::sync::{OnceCell, Semaphore};
@@ -28,7 +29,7 @@ pub(super) struct Poster {
     places: Semaphore,
 }
 
-/// What came of one attempt.
+/// Outcome of one attempt to send a message.
 enum Sent {
     Taken,
     /// The receiver wants no more of it.
@@ -44,7 +45,7 @@ impl Poster {
     /// Before the second attempt; it doubles.
     const FIRST_PAUSE: Duration = Duration::from_secs(1);
     const LONGEST_PAUSE: Duration = Duration::from_secs(300);
-    /// A message that was not taken for so long is given up.
+    /// Time after which a message that was never taken is given up.
     const GIVE_UP: Duration = Duration::from_secs(24 * 3600);
 
     pub(super) fn new(key: Option<NotifyKey>) -> Self {
@@ -101,26 +102,8 @@ impl Poster {
 }
 
 fn client() -> Result<Https, String> {
-    let mut tcp = connect::HttpConnector::new();
-    tcp.set_connect_timeout(Some(Duration::from_secs(5)));
-    tcp.enforce_http(false);
-    let provider = rustls::crypto::ring::default_provider();
-    let connector = match HttpsConnectorBuilder::new().with_provider_and_native_roots(provider) {
-        Ok(tls) => tls.https_or_http().enable_http1().wrap_connector(tcp),
-        // A machine without root certificates can notify a server that needs none.
-        Err(_) => without_roots()?.https_or_http().enable_http1().wrap_connector(tcp),
-    };
+    let connector = femc_store::connector(Plain::Allowed).map_err(|error| error.to_string())?;
     Ok(Client::builder(TokioExecutor::new()).pool_timer(TokioTimer::new()).build(connector))
-}
-
-type Builder = HttpsConnectorBuilder<hyper_rustls::builderstates::WantsSchemes>;
-
-fn without_roots() -> Result<Builder, String> {
-    let config = rustls::ClientConfig::builder_with_provider(rustls::crypto::ring::default_provider().into())
-        .with_safe_default_protocol_versions()
-        .map_err(|error| error.to_string())?;
-    let roots = rustls::RootCertStore::empty();
-    Ok(HttpsConnectorBuilder::new().with_tls_config(config.with_root_certificates(roots).with_no_client_auth()))
 }
 
 /// An error and its causes.

@@ -32,7 +32,7 @@ pub struct JobSpec {
     /// A worker must have all of these.
     pub tags: Vec<String>,
     /// Comment, labels, and the address that is told of its end.
-    #[serde(deserialize_with = "crate::since_version_10")]
+    #[serde(deserialize_with = "crate::since_version_11")]
     pub notes: JobNotes,
 }
 

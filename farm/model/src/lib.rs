@@ -45,7 +45,7 @@ pub use result::{Artifact, Blocks, Decision, FrameParts, FrameRecord, TaskResult
 pub use session::{
     Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, TaskUsage, ToWorker,
 };
-pub use since::{reading_version, since_version_9, since_version_10};
+pub use since::{reading_version, since_version_9, since_version_10, since_version_11};
 pub use status::{
     Crew, Drain, FrameProgress, FrameStop, Intake, JobStatus, OfflineWorker, Quarantined, Wait, WorkerName,
     WorkerStatus, WorstFrame,

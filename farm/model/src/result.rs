@@ -117,8 +117,8 @@ pub struct FrameRecord {
     pub busy_seconds: f64,
     /// Seconds from the first lease to the last result, also those in which workers did other tasks and other jobs.
     pub seconds: f64,
-    /// Rounds that it took; `None`: not known, as of frames that were finished before version 10 of the log.
-    #[serde(default, deserialize_with = "crate::since_version_10")]
+    /// Rounds that it took; `None`: not known, as of frames that were finished before version 11 of the log.
+    #[serde(default, deserialize_with = "crate::since_version_11")]
     pub rounds: Option<u32>,
     /// Time of its attempts; `None`: not looked up. The log does not hold it.
     #[serde(skip)]

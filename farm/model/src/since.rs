@@ -42,6 +42,14 @@ pub fn since_version_10<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>
     since(10, from)
 }
 
+/// A field that version 11 of the log added.
+///
+/// # Errors
+/// The field is damaged.
+pub fn since_version_11<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
+    since(11, from)
+}
+
 fn since<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>>(version: u8, from: D) -> Result<T, D::Error> {
     if READING.get() < version { Ok(T::default()) } else { T::deserialize(from) }
 }

@@ -26,7 +26,8 @@ impl Scheduler {
         self.within_quota(&spec)?;
         let job = self.ledger.next_job();
         self.meter.add(&spec.owner, UsageSums { jobs: 1, ..UsageSums::default() });
-        self.record(Fact::Submitted { job, key, spec, cut: Cut::Grains(self.config.grain), date }, now, out);
+        let cut = Cut::Grains(self.config.grain);
+        self.record(Fact::Submitted { job, key, spec, cut, date, announces: true }, now, out);
         self.rebuild(job);
         self.retry_shared(job, |_| true, now, out);
         out.push(Command::Changed(job));

@@ -38,6 +38,9 @@ pub enum Fact {
         /// Calendar date: Unix time in milliseconds; `None`: not known.
         #[serde(deserialize_with = "femc_model::since_version_10")]
         date: Option<u64>,
+        /// Whether its ends are announced; earlier versions of the log announce none.
+        #[serde(deserialize_with = "femc_model::since_version_11")]
+        announces: bool,
     },
     /// The stages of a content are begun, for all jobs that need them, by one build of the engine.
     Shared {

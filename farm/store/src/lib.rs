@@ -27,6 +27,7 @@ use tokio_stream::StreamExt as _;
 
 use crate::seen::Seen;
 
+pub use backend::http::{Plain, connector};
 pub use error::StoreError;
 pub use mend::Soundness;
 pub use object_store;

@@ -519,6 +519,7 @@ fn log() -> Vec<Target> {
             spec: Box::new(spec()),
             cut: Cut::Whole,
             date: Some(7),
+            announces: true,
         },
         Fact::Controlled { job: JobId(1), control: Control::Priority(70) },
         Fact::Drained { instance: 5, drain: Drain::Begin },

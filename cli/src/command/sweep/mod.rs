@@ -66,7 +66,7 @@ pub struct SweepArgs {
     /// 0 to 100, greater goes first [default: the job file's, or 50]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
     priority: Option<u8>,
-    /// Who the jobs belong to [default: the user's name]
+    /// Owner of the jobs [default: the user's name]
     #[arg(long, value_name = "NAME", conflicts_with = "local")]
     owner: Option<String>,
     #[command(flatten)]

@@ -86,9 +86,11 @@ pub(crate) struct Job {
     /// Calendar date of the submission: Unix time in milliseconds.
     #[serde(deserialize_with = "femc_model::since_version_10")]
     pub(crate) date: Option<u64>,
-    /// It has ended, and not everybody who is to be told of that was told. Of jobs without a date, as those of logs before version 10
-    /// and what jobs share, nobody is.
-    #[serde(deserialize_with = "femc_model::since_version_10")]
+    /// Its ends are announced: not those of jobs that were submitted before version 11 of the log.
+    #[serde(deserialize_with = "femc_model::since_version_11")]
+    announces: bool,
+    /// It has ended, and not everybody who is to be told of that was told.
+    #[serde(deserialize_with = "femc_model::since_version_11")]
     pub(crate) is_unannounced: bool,
     cut: Cut,
     pub(crate) shared: Option<Shared>,
@@ -134,6 +136,7 @@ impl Job {
             blocks: None,
             submitted: now,
             date: None,
+            announces: false,
             is_unannounced: false,
             cut,
             shared,
@@ -145,6 +148,11 @@ impl Job {
     /// Sets the calendar date of the submission, Unix time in milliseconds.
     pub(super) fn submitted_at(self, date: Option<u64>) -> Self {
         Self { date, ..self }
+    }
+
+    /// Sets whether its ends are announced.
+    pub(super) fn announcing(self, announces: bool) -> Self {
+        Self { announces, ..self }
     }
 
     /// Its frames, ascending.
@@ -650,7 +658,7 @@ impl Job {
     pub(super) fn note_end(&mut self, now: Tick) {
         if self.has_ended() && self.ended.is_none() {
             self.ended = Some(now);
-            self.is_unannounced = self.date.is_some();
+            self.is_unannounced = self.announces;
         }
         // What was paused and came to its end all the same is not held when something of it is lost later.
         if self.is_done() {

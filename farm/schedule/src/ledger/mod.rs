@@ -70,12 +70,13 @@ impl Ledger {
                 self.incarnation = self.incarnation.max(*incarnation);
                 return Vec::new();
             }
-            Fact::Submitted { job, key, spec, cut, date } => {
+            Fact::Submitted { job, key, spec, cut, date, announces } => {
                 self.last_job = self.last_job.max(job.0);
                 if let Some(key) = key {
                     self.keys.insert(key.clone(), *job);
                 }
-                self.jobs.insert(*job, Job::new(spec.clone(), None, *cut, now).submitted_at(*date));
+                let known = Job::new(spec.clone(), None, *cut, now).submitted_at(*date).announcing(*announces);
+                self.jobs.insert(*job, known);
                 return Vec::new();
             }
             Fact::Shared { job, key, engine, spec, cut } => {

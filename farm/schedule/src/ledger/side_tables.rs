@@ -19,7 +19,7 @@ pub(crate) struct SideTables {
     /// What owners have used.
     used: BTreeMap<String, Used>,
     /// Usage by month and owner.
-    #[serde(deserialize_with = "femc_model::since_version_10")]
+    #[serde(deserialize_with = "femc_model::since_version_11")]
     metered: BTreeMap<(Month, String), UsageSums>,
 }
 

@@ -137,9 +137,7 @@ fn only_a_job_that_has_ended_can_be_deleted_and_then_nothing_names_it() {
 fn an_end_is_announced_until_that_was_done_and_once_for_each_end() {
     let mut farm = Farm::new();
     farm.join(1);
-    let spec = Box::new(of("ann", &[1], 3));
-    let submitted = Event::Submitted { request: RequestId(7), key: None, spec, date: Some(1_795_680_000_000) };
-    let Some(Answer::Submitted(id)) = common::answer(&farm.on(submitted)) else { panic!("it is taken") };
+    let id = farm.submit(of("ann", &[1], 3));
     assert_eq!(farm.scheduler.end_to_announce(id), None);
     farm.control(id, Control::Cancel);
     let cancelled = farm.scheduler.end_to_announce(id).expect("it has ended");

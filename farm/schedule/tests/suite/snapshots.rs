@@ -103,15 +103,21 @@ const LOG_8: &[u8] = include_bytes!("../files/log-8.bin");
 /// The ledger at the end of that life, as a snapshot of version 9.
 const LEDGER_OF_LOG_8: &[u8] = include_bytes!("../files/ledger-9.bin");
 
+/// The parts of a file: a snapshot, and the facts, of this version.
+fn parts(mut file: &[u8], version: u8) -> Vec<&[u8]> {
+    let mut parts = Vec::new();
+    while let Some((length, after)) = file.split_first_chunk::<4>() {
+        let (part, others) = after.split_at(u32::from_le_bytes(*length) as usize);
+        assert_eq!(part[0], version);
+        parts.push(part);
+        file = others;
+    }
+    parts
+}
+
 #[test]
 fn a_log_of_version_8_is_read_as_the_ledger_that_wrote_it() {
-    let (mut rest, mut parts) = (LOG_8, Vec::new());
-    while let Some((length, after)) = rest.split_first_chunk::<4>() {
-        let (part, others) = after.split_at(u32::from_le_bytes(*length) as usize);
-        assert_eq!(part[0], 8);
-        parts.push(part);
-        rest = others;
-    }
+    let parts = parts(LOG_8, 8);
     let wanted = Ledger::decode(LEDGER_OF_LOG_8).unwrap();
     assert_eq!(Ledger::decode(parts[0]).as_ref(), Ok(&wanted));
     let mut ledger = Ledger::default();
@@ -131,4 +137,23 @@ fn a_log_of_version_8_is_read_as_the_ledger_that_wrote_it() {
     };
     let names: Vec<_> = parts[1..].iter().filter_map(|part| submitted(part)).collect();
     assert_eq!(names, [("fog".to_owned(), None), ("fog".to_owned(), None)]);
+}
+
+/// The same of a program with version 10.
+const LOG_10: &[u8] = include_bytes!("../files/log-10.bin");
+
+#[test]
+fn a_log_of_version_10_is_read_with_its_dates_and_announces_no_end() {
+    let parts = parts(LOG_10, 10);
+    let mut ledger = Ledger::default();
+    for part in &parts[1..] {
+        let (now, fact) = Fact::decode(part).unwrap();
+        ledger.apply(&fact, now);
+    }
+    assert_eq!(Ledger::decode(parts[0]).as_ref(), Ok(&ledger));
+    let now = ledger.now();
+    let (scheduler, _) = Scheduler::new(config(), ledger);
+    assert_eq!(scheduler.status(JobId(1), now).unwrap().submitted_date, Some(1_795_680_000_000));
+    assert_eq!(scheduler.status(JobId(2), now).unwrap().state, JobState::Cancelled);
+    assert_eq!(scheduler.ends_to_announce(), []);
 }

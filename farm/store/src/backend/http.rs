@@ -34,30 +34,47 @@ pub(super) struct Https;
 
 impl HttpConnector for Https {
     fn connect(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
-        let mut tcp = connect::HttpConnector::new();
-        tcp.set_connect_timeout(Some(CONNECT));
-        tcp.set_nodelay(true);
-        tcp.enforce_http(false);
-        let plain_too = options.get_config_value(&ClientConfigKey::AllowHttp).is_some_and(|value| value == "true");
-        let provider = rustls::crypto::ring::default_provider();
-        let connector = match HttpsConnectorBuilder::new().with_provider_and_native_roots(provider) {
-            Ok(tls) if plain_too => tls.https_or_http().enable_http1().wrap_connector(tcp),
-            Ok(tls) => tls.https_only().enable_http1().wrap_connector(tcp),
-            // A machine without root certificates can talk to a server that needs none.
-            Err(_) if plain_too => without_roots()?.https_or_http().enable_http1().wrap_connector(tcp),
-            Err(error) => return Err(object_store::Error::Generic { store: "TLS", source: Box::new(error) }),
-        };
+        let is_plain = options.get_config_value(&ClientConfigKey::AllowHttp).is_some_and(|value| value == "true");
+        let connector = connector(if is_plain { Plain::Allowed } else { Plain::Refused });
+        let connector = connector.map_err(|source| object_store::Error::Generic { store: "TLS", source })?;
         let client = Client::builder(TokioExecutor::new()).pool_timer(TokioTimer::new()).build(connector);
         Ok(HttpClient::new(Service { client }))
     }
 }
 
+/// Whether connections may go without encryption.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Plain {
+    /// `http:` and `https:`.
+    Allowed,
+    /// `https:` alone.
+    Refused,
+}
+
+/// Connections over TCP and TLS for hyper's client, with the machine's root certificates.
+///
+/// # Errors
+/// There are no root certificates, and plain connections are refused; or TLS cannot be set up.
+pub fn connector(plain: Plain) -> Result<HttpsConnector<connect::HttpConnector>, Box<dyn Error + Send + Sync>> {
+    let mut tcp = connect::HttpConnector::new();
+    tcp.set_connect_timeout(Some(CONNECT));
+    tcp.set_nodelay(true);
+    tcp.enforce_http(false);
+    let provider = rustls::crypto::ring::default_provider();
+    Ok(match (HttpsConnectorBuilder::new().with_provider_and_native_roots(provider), plain) {
+        (Ok(tls), Plain::Allowed) => tls.https_or_http().enable_http1().wrap_connector(tcp),
+        (Ok(tls), Plain::Refused) => tls.https_only().enable_http1().wrap_connector(tcp),
+        // A machine without root certificates can talk to a server that needs none.
+        (Err(_), Plain::Allowed) => without_roots()?.https_or_http().enable_http1().wrap_connector(tcp),
+        (Err(error), Plain::Refused) => return Err(error.into()),
+    })
+}
+
 type Builder = HttpsConnectorBuilder<hyper_rustls::builderstates::WantsSchemes>;
 
-fn without_roots() -> object_store::Result<Builder> {
+fn without_roots() -> Result<Builder, rustls::Error> {
     let config = rustls::ClientConfig::builder_with_provider(rustls::crypto::ring::default_provider().into())
-        .with_safe_default_protocol_versions()
-        .map_err(|error| object_store::Error::Generic { store: "TLS", source: Box::new(error) })?;
+        .with_safe_default_protocol_versions()?;
     let roots = rustls::RootCertStore::empty();
     Ok(HttpsConnectorBuilder::new().with_tls_config(config.with_root_certificates(roots).with_no_client_auth()))
 }

@@ -112,7 +112,7 @@ impl Announcer {
                     Ok(url) => poster.post(&url, &end.id, &end.body).await,
                     // Allowed when the job was submitted.
                     Err(message) => {
-                        tracing::warn!(job = end.job.0, "the message about the job's end is not sent: {message}")
+                        tracing::warn!(job = end.job.0, "the message about the job's end is not sent: {message}");
                     }
                 }
             };

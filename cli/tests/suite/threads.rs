@@ -68,6 +68,10 @@ fn a_render_starts_no_threads_beside_its_own() {
     run(&place, "plan fine.mgf --frames 1 --spp 1 --threads 1 --json");
 }
 
+/// Stack of a thread, in bytes. It is large, so that the thread which does not fit leaves room for what the threads before it
+/// still allocate.
+const STACK: usize = 128 << 20;
+
 #[test]
 fn threads_that_cannot_be_started_are_an_error_that_says_what_to_do() {
     let place = Place::new();
@@ -77,7 +81,8 @@ fn threads_that_cannot_be_started_are_an_error_that_says_what_to_do() {
         format!("render fog.mgf --frames 1 --spp 1 --method pt --threads {GLOBAL} -o out"),
         format!("plan fog.mgf --frames 1 --threads {GLOBAL}"),
     ] {
-        let error = Running::of(&mut confined(&place, &line)).end().exits(1).stderr();
+        let mut command = confined(&place, &line);
+        let error = Running::of(command.env("RUST_MIN_STACK", STACK.to_string())).end().exits(1).stderr();
         assert!(error.contains("cannot start threads") && error.contains("ulimit -u"), "{line}: {error}");
         assert!(!error.contains("panic"), "{line}: {error}");
     }

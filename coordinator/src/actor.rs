@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use femc_fault::{Point, pass, pass_async};
 use femc_model::{
     Crew, Digest, Failure, FromWorker, JobId, JobStatus, Month, OwnerUsage, Refusal, TaskFilter, TaskPage, TaskUsage,
-    Tick, ToWorker, WorkerId,
+    Tick, ToWorker, WorkerId, WorkerStatus,
 };
 use femc_proto::{AttemptPage, Backup, Call, Changes, JobShape, Listing, News, References, Reply, Session};
 use femc_queue::{Batch, Note, Queue, QueueError, Remedy};
@@ -299,6 +299,7 @@ impl<Q: Queue> Actor<Q> {
             }
             SessionEvent::Over => {
                 self.observe_workers();
+                self.roster.leave(worker);
                 self.workers.remove(&worker);
                 tracing::info!(worker = worker.0, "worker left");
                 Some(Event::Left { worker })
@@ -396,8 +397,9 @@ impl<Q: Queue> Actor<Q> {
 
     fn join(&mut self, session: Session, commands: &mut Vec<Command>) {
         pass(Point::CoordinatorBeforeJoin);
-        let worker = WorkerId(self.number());
         let Session { registration, messages, out } = session;
+        // A number that comes again is that of a session whose last message was heard.
+        let worker = self.roster.join(&registration.name);
         tracing::info!(
             worker = worker.0,
             name = registration.name,
@@ -521,9 +523,16 @@ impl<Q: Queue> Actor<Q> {
 
     /// Who is there, and who was.
     fn crew(&self) -> Crew {
-        let there = self.scheduler.workers(self.clock.now());
+        let there = self.there();
         let offline = self.roster.offline(&there);
         Crew { there, offline }
+    }
+
+    /// Who is there, with the counts of earlier sessions.
+    fn there(&self) -> Vec<WorkerStatus> {
+        let mut there = self.scheduler.workers(self.clock.now());
+        self.roster.add_earlier(&mut there);
+        there
     }
 
     /// Takes notice of those who are there; it becomes durable with what comes next.
@@ -531,7 +540,7 @@ impl<Q: Queue> Actor<Q> {
         let now = self.clock.now();
         // Without a date no contact can be told.
         let Some(zero) = self.scheduler.config().clock_zero else { return };
-        self.roster.observe(&self.scheduler.workers(now), zero.saturating_add(now.0));
+        self.roster.observe(&self.there(), zero.saturating_add(now.0));
         self.is_roster_new = true;
     }
 

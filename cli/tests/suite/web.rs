@@ -225,11 +225,11 @@ fn several_jobs_are_steered_at_once_and_what_cannot_be_done_to_one_is_done_to_th
 }
 
 #[test]
-fn a_worker_that_is_gone_stays_known_with_its_last_contact_over_a_restart_of_the_coordinator() {
+fn a_worker_stays_known_with_its_number_counts_and_last_contact_over_a_restart_of_the_coordinator() {
     let place = Place::new();
     let (mut coordinator, url) = coordinator(&place, 0);
     let address = address(&url);
-    let start = |name: &str| place.start(&format!("worker --join {url} --name {name} --threads 1 --tags hall"));
+    let start = |name: &str| place.start(&format!("worker --join {url} --name {name} --threads 1 --tags hall,{name}"));
     let (mut first, mut second) = (start("w1"), start("w2"));
     let now = || SystemTime::now().duration_since(UNIX_EPOCH).expect("a date").as_secs_f64();
     let names = |list: &str| -> Vec<String> {
@@ -241,6 +241,16 @@ fn a_worker_that_is_gone_stays_known_with_its_last_contact_over_a_restart_of_the
     };
     coordinator.wait_until("both are there", || names("workers") == ["w1", "w2"]);
     assert_eq!(names("offline"), [""; 0]);
+    let submit = format!("submit fog.mgf --frames 1 --spp 1 --method pt --tags w2 --server {url}");
+    let job = place.run(&submit).exits(0).stdout().lines().last().expect("a job").to_owned();
+    place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
+    let second_worker = || {
+        let workers = get(&address, "workers").json()["workers"].clone();
+        let second = workers.as_array().expect("a list").iter().find(|it| it["name"] == "w2").expect("w2").clone();
+        (second["worker"].as_u64().expect("a number"), second["completed"].as_u64().expect("a count"))
+    };
+    let before = second_worker();
+    assert!(before.1 > 0, "the second worker alone may do the job: {before:?}");
     first.kill();
     coordinator.wait_until("the first is missed", || names("offline") == ["w1"]);
     // The coordinator is killed, so it writes nothing at its end. The second worker stops while no coordinator runs.
@@ -266,6 +276,7 @@ fn a_worker_that_is_gone_stays_known_with_its_last_contact_over_a_restart_of_the
     assert_eq!((kind.as_str(), snapshot["offline"].as_array().map(Vec::len)), ("snapshot", Some(2)));
     let _back = start("w2");
     again.wait_until("the second is back", || names("workers") == ["w2"] && names("offline") == ["w1"]);
+    assert_eq!(second_worker(), before, "its number, and the tasks that it has done");
 }
 
 #[test]

@@ -48,7 +48,7 @@ impl FromStr for JobId {
     }
 }
 
-/// One session of a worker: a worker that joins again gets a new one.
+/// The number of a worker. No two sessions have the same one at a time; a worker that comes back gets its old one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct WorkerId(pub u64);
 

@@ -327,7 +327,7 @@ pub struct OfflineWorker {
 /// A worker at a glance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorkerStatus {
-    /// The session.
+    /// Its number. It stays the same over sessions, as long as its name is known.
     pub worker: WorkerId,
     /// Its name.
     pub name: String,
@@ -339,9 +339,9 @@ pub struct WorkerStatus {
     pub tasks: Vec<TaskKey>,
     /// Milliseconds since its last message.
     pub silent: u64,
-    /// Results accepted in this session.
+    /// Results accepted from it since its name is known, also before the coordinator's last start.
     pub completed: u64,
-    /// Tasks failed in this session.
+    /// Tasks that failed there in the same time.
     pub failed: u64,
     /// Whether it gets more tasks.
     pub intake: Intake,

@@ -1,22 +1,48 @@
-//! The workers that have been there: who they were, and when they were heard of last.
+//! The workers that have been there: their names and numbers, the tasks that they have done, and their last contacts.
 //!
 //! A session ends and nobody knows whether its worker will be back, so a name is kept for a month, also over the coordinator's
-//! restarts: as a note beside the log, which no fact depends on. A coordinator that is killed knows last contacts as they were at
-//! its last note.
+//! restarts: as a note beside the log, which no fact depends on. A coordinator that is killed knows last contacts and counts as
+//! they were at its last note. A worker that comes back has its old number and goes on counting.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{OfflineWorker, WorkerStatus};
+use femc_model::{OfflineWorker, WorkerId, WorkerStatus};
+use serde::{Deserialize, Serialize};
 
 use crate::SnapshotError;
 
-/// First byte of a note; a roster of another version is not read: workers are known again when they come.
-const VERSION: u8 = 1;
+/// First byte of a note. Version 1, which is read, has no numbers; a roster of a later version is not read: workers are known again
+/// when they come.
+const VERSION: u8 = 2;
 
-/// Workers by name. Several of one name are one here.
+/// Workers by name. Workers of the same name share a last contact; each has its own number.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Roster {
     known: BTreeMap<String, OfflineWorker>,
+    /// Numbers by name.
+    numbers: BTreeMap<String, Vec<Number>>,
+    /// Sessions, and the counts that their workers came with.
+    present: BTreeMap<WorkerId, Counts>,
+}
+
+/// A number of a worker, and the counts that belong to it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+struct Number {
+    number: WorkerId,
+    counts: Counts,
+}
+
+/// Tasks that a worker has done, and tasks that failed there.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct Counts {
+    completed: u64,
+    failed: u64,
+}
+
+impl Counts {
+    fn of(status: &WorkerStatus) -> Self {
+        Self { completed: status.completed, failed: status.failed }
+    }
 }
 
 impl Roster {
@@ -25,10 +51,44 @@ impl Roster {
     /// Milliseconds for which one is known that has not been heard of: 30 days.
     const KEPT: u64 = 30 * 24 * 3_600_000;
 
+    /// The number of a worker that comes: that of an earlier session of this name, or a new one.
+    pub fn join(&mut self, name: &str) -> WorkerId {
+        let highest = self.numbers.values().flatten().map(|known| known.number.0).max().unwrap_or(0);
+        let own = self.numbers.entry(name.to_owned()).or_default();
+        let free = own.iter().filter(|known| !self.present.contains_key(&known.number)).min_by_key(|known| known.number);
+        let known = free.copied().unwrap_or_else(|| {
+            let new = Number { number: WorkerId(highest + 1), counts: Counts::default() };
+            own.push(new);
+            new
+        });
+        self.present.insert(known.number, known.counts);
+        known.number
+    }
+
+    /// A session is over. [`Self::observe`] has to be told its counts before.
+    pub fn leave(&mut self, worker: WorkerId) {
+        self.present.remove(&worker);
+    }
+
+    /// Adds the counts of earlier sessions.
+    pub fn add_earlier(&self, workers: &mut [WorkerStatus]) {
+        for worker in workers {
+            let earlier = self.present.get(&worker.worker).copied().unwrap_or_default();
+            worker.completed += earlier.completed;
+            worker.failed += earlier.failed;
+        }
+    }
+
     /// Takes notice of those that are there.
+    /// - `workers`: with the counts of all their sessions;
     /// - `date`: now, Unix milliseconds.
     pub fn observe(&mut self, workers: &[WorkerStatus], date: u64) {
         for worker in workers {
+            for known in self.numbers.get_mut(&worker.name).into_iter().flatten() {
+                if known.number == worker.worker {
+                    known.counts = Counts::of(worker);
+                }
+            }
             let heard = date.saturating_sub(worker.silent);
             let before = self.known.get(&worker.name).map_or(0, |known| known.heard);
             if heard < before {
@@ -45,6 +105,8 @@ impl Roster {
             heard.truncate(surplus);
             heard.iter().for_each(|(_, name)| drop(self.known.remove(name)));
         }
+        let Self { known, numbers, present } = self;
+        numbers.retain(|name, own| known.contains_key(name) || own.iter().any(|own| present.contains_key(&own.number)));
     }
 
     /// Those that are not there, the latest first.
@@ -59,17 +121,19 @@ impl Roster {
     /// As a note beside the log.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
         let known: Vec<&OfflineWorker> = self.known.values().collect();
-        Ok(postcard::to_extend(&known, vec![VERSION])?)
+        Ok(postcard::to_extend(&(known, &self.numbers), vec![VERSION])?)
     }
 
     /// What [`Self::encode`] wrote.
     pub fn decode(note: &[u8]) -> Result<Self, SnapshotError> {
-        let known: Vec<OfflineWorker> = match note.split_first() {
+        let (known, numbers): (Vec<OfflineWorker>, _) = match note.split_first() {
             Some((&VERSION, known)) => postcard::from_bytes(known)?,
+            Some((1, known)) => (postcard::from_bytes(known)?, BTreeMap::new()),
             Some((&found, _)) => return Err(SnapshotError::RosterVersion { found }),
             None => return Err(SnapshotError::Empty),
         };
-        Ok(Self { known: known.into_iter().map(|worker| (worker.name.clone(), worker)).collect() })
+        let known = known.into_iter().map(|worker| (worker.name.clone(), worker)).collect();
+        Ok(Self { known, numbers, present: BTreeMap::new() })
     }
 }
 
@@ -96,6 +160,69 @@ mod tests {
 
     fn heard(workers: &[OfflineWorker]) -> Vec<(&str, u64)> {
         workers.iter().map(|it| (it.name.as_str(), it.heard)).collect()
+    }
+
+    /// A session that has done and failed so many tasks.
+    fn session(worker: WorkerId, name: &str, completed: u64, failed: u64) -> WorkerStatus {
+        WorkerStatus { worker, completed, failed, ..self::worker(name, 0) }
+    }
+
+    fn counts(roster: &Roster, session: WorkerStatus) -> (u64, u64) {
+        let mut sessions = [session];
+        roster.add_earlier(&mut sessions);
+        (sessions[0].completed, sessions[0].failed)
+    }
+
+    #[test]
+    fn a_worker_that_comes_back_has_its_number_and_goes_on_counting_also_after_a_restart() {
+        let mut roster = Roster::default();
+        let (a, b) = (roster.join("a"), roster.join("b"));
+        assert_eq!((a, b), (WorkerId(1), WorkerId(2)));
+        assert_eq!(counts(&roster, session(a, "a", 7, 1)), (7, 1));
+        roster.observe(&[session(a, "a", 7, 1), session(b, "b", 5, 0)], 1000);
+        // The coordinator begins again, and they come in another order.
+        let mut roster = Roster::decode(&roster.encode().unwrap()).unwrap();
+        assert_eq!((roster.join("new"), roster.join("b"), roster.join("a")), (WorkerId(3), b, a));
+        assert_eq!(counts(&roster, session(a, "a", 2, 1)), (9, 2));
+        // It leaves and is back.
+        roster.observe(&[session(a, "a", 9, 2)], 2000);
+        roster.leave(a);
+        assert_eq!(roster.join("a"), a);
+        assert_eq!(counts(&roster, session(a, "a", 0, 0)), (9, 2));
+    }
+
+    #[test]
+    fn workers_of_the_same_name_have_a_number_each() {
+        let mut roster = Roster::default();
+        let (first, second) = (roster.join("a"), roster.join("a"));
+        assert_ne!(first, second);
+        roster.observe(&[session(first, "a", 3, 0), session(second, "a", 4, 0)], 1000);
+        roster.leave(second);
+        assert_eq!(roster.join("a"), second, "the first is still there");
+        assert_eq!(counts(&roster, session(second, "a", 1, 0)), (5, 0));
+        assert_eq!(counts(&roster, session(first, "a", 3, 0)), (3, 0));
+    }
+
+    #[test]
+    fn numbers_are_forgotten_with_the_name() {
+        let mut roster = Roster::default();
+        let (a, b) = (roster.join("a"), roster.join("b"));
+        roster.observe(&[session(a, "a", 7, 1), session(b, "b", 0, 0)], 1000);
+        roster.leave(a);
+        let later = 2000 + Roster::KEPT;
+        roster.observe(&[session(b, "b", 0, 0)], later);
+        assert_eq!(roster.join("c"), WorkerId(3));
+        let back = roster.join("a");
+        assert_eq!((back, counts(&roster, session(back, "a", 0, 0))), (WorkerId(4), (0, 0)));
+    }
+
+    #[test]
+    fn a_note_without_numbers_is_read() {
+        let mut roster = Roster::default();
+        roster.observe(&[worker("a", 0)], 1000);
+        let known: Vec<&OfflineWorker> = roster.known.values().collect();
+        let note = postcard::to_extend(&known, vec![1]).unwrap();
+        assert_eq!(Roster::decode(&note), Ok(roster));
     }
 
     #[test]

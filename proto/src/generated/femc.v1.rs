@@ -1015,7 +1015,7 @@ pub struct Times {
 /// A worker at a glance.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct WorkerStatus {
-    /// Number of its session.
+    /// Its number. It stays the same over sessions, as long as its name is known.
     #[prost(uint64, tag = "1")]
     pub worker: u64,
     /// Its name.
@@ -1033,10 +1033,10 @@ pub struct WorkerStatus {
     /// Milliseconds since its last message.
     #[prost(uint64, tag = "6")]
     pub silent: u64,
-    /// Results accepted in this session.
+    /// Results accepted from it since its name is known, also before the coordinator's last start.
     #[prost(uint64, tag = "7")]
     pub completed: u64,
-    /// Tasks failed in this session.
+    /// Tasks that failed there in the same time.
     #[prost(uint64, tag = "8")]
     pub failed: u64,
     /// Whether it gets more tasks.

@@ -5,7 +5,7 @@ use crate::exit::Exit;
 use femc_model::{FrameProgress, FrameRecord, FrameStop, JobState, JobStatus, Stage, Times};
 use femc_pipeline::Stop;
 pub use femc_service::view::{JobJson, wait};
-use femc_service::view::{above_target, unit};
+use femc_service::view::{above_target, state, unit};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The exit code of a job that has ended; `None` while it goes on.
@@ -58,7 +58,7 @@ pub fn table(jobs: &[JobStatus]) -> String {
             vec![
                 job.job.to_string(),
                 job.name.clone(),
-                job.state.name().to_owned(),
+                state(job),
                 format!("{}/{}", job.frames_done, job.frames_total),
                 job.priority.to_string(),
                 job.owner.clone(),
@@ -116,7 +116,7 @@ pub fn slowest_words(frame: u32, times: &Times) -> String {
 
 /// All about one job.
 pub fn describe(say: Say, job: &JobStatus) -> String {
-    let mut lines = vec![say.heading(&format!("job {} ({}): {}", job.job, job.name, job.state.name()))];
+    let mut lines = vec![say.heading(&format!("job {} ({}): {}", job.job, job.name, state(job)))];
     let mut frames = format!("frames   {} of {} done", job.frames_done, job.frames_total);
     if job.frames_failed > 0 {
         frames += &say.bad(&format!(", {} failed", job.frames_failed));

@@ -41,6 +41,11 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
     let text = failed();
     assert!(text.contains("on small: FAILED") && text.contains("out of resources") && text.contains("WARN"), "{text}");
 
+    let waits = || place.run(&format!("jobs --server {url}")).exits(0).stdout().contains("waits for memory");
+    farm.wait_until("the job says that it waits for memory", waits);
+    let status = place.run(&format!("status {other} --server {url}")).exits(0).stdout();
+    assert!(status.contains("waits for memory"), "{status}");
+
     assert!(farm.kill(), "it was alive");
     let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
     let (_farm, url) = coordinator(&place, port);

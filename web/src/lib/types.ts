@@ -76,6 +76,8 @@ export interface Job {
   copies: number;
   quarantined: QuarantinedTask[];
   /** Why tasks of it wait, a sentence each. */
+  /** What all of its tasks wait for, in a word: `memory` or `store`. */
+  waits_for?: string | null;
   waits: string[];
 }
 

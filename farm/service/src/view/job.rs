@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use femc_model::{FrameProgress, FrameStop, JobStatus, Stage, Wait};
+use femc_model::{Failure, FrameProgress, FrameStop, JobState, JobStatus, Stage, Wait};
 use serde::Serialize;
 
 use super::words::count;
@@ -51,6 +51,8 @@ pub struct JobJson {
     /// Late tasks that were given to a second worker.
     copies: u64,
     quarantined: Vec<QuarantinedJson>,
+    /// What all of its tasks wait for, in a word: `memory` or `store`.
+    waits_for: Option<&'static str>,
     waits: Vec<String>,
 }
 
@@ -119,9 +121,26 @@ impl From<&JobStatus> for JobJson {
                     failure: q.failure.to_string(),
                 })
                 .collect(),
+            waits_for: waits_for(job),
             waits: job.waits.iter().map(|it| wait(job, it)).collect(),
         }
     }
+}
+
+/// What all tasks of a job wait for, in a word: `memory` or `store`, where the workers that may take it rest for want of it; `None`:
+/// something of it is done, or it waits for another reason.
+pub fn waits_for(job: &JobStatus) -> Option<&'static str> {
+    let wanted = job.waits.iter().find_map(|wait| match wait {
+        Wait::WorkersInTrouble { failure: Failure::Resources { .. }, .. } => Some("memory"),
+        Wait::WorkersInTrouble { failure: Failure::Store { .. }, .. } => Some("store"),
+        _ => None,
+    });
+    wanted.filter(|_| job.workers == 0 && matches!(job.state, JobState::Queued | JobState::Running))
+}
+
+/// Its state in words: `running`, or `waits for memory` (see [`waits_for`]).
+pub fn state(job: &JobStatus) -> String {
+    waits_for(job).map_or_else(|| job.state.name().to_owned(), |wanted| format!("waits for {wanted}"))
 }
 
 /// Why the error of a job's worst frame is above its target; `None`: it is not, or there is no target.
@@ -241,11 +260,10 @@ pub fn wait(job: &JobStatus, wait: &Wait) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use femc_model::{JobId, JobNotes, JobState};
+    use femc_model::{JobId, JobNotes};
 
-    #[test]
-    fn stages_of_the_whole_job_are_no_frame_in_what_a_job_waits_for() {
-        let job = JobStatus {
+    fn status() -> JobStatus {
+        JobStatus {
             job: JobId(7),
             name: "walk".to_owned(),
             owner: "ann".to_owned(),
@@ -274,7 +292,27 @@ mod tests {
             waits: Vec::new(),
             submitted: None,
             submitted_date: None,
-        };
+        }
+    }
+
+    #[test]
+    fn a_job_of_which_nothing_runs_says_in_its_state_that_it_waits_for_memory() {
+        let failure = Failure::Resources { message: "full".into() };
+        let waits = vec![Wait::WorkersResting, Wait::WorkersInTrouble { workers: 1, seconds: 3, failure }];
+        let waiting = JobStatus { state: JobState::Running, workers: 0, waits, ..status() };
+        assert_eq!((state(&waiting), waits_for(&waiting)), ("waits for memory".to_owned(), Some("memory")));
+        for other in [
+            JobStatus { workers: 1, ..waiting.clone() },
+            JobStatus { state: JobState::Done, ..waiting.clone() },
+            JobStatus { waits: vec![Wait::WorkersResting], ..waiting.clone() },
+        ] {
+            assert_eq!((state(&other), waits_for(&other)), (other.state.name().to_owned(), None));
+        }
+    }
+
+    #[test]
+    fn stages_of_the_whole_job_are_no_frame_in_what_a_job_waits_for() {
+        let job = status();
         let said = |reason| wait(&job, &reason);
         let waits = said(Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 });
         assert!(waits.contains("wait for 3 frames that failed") && waits.contains("`femc retry 7`"), "{waits}");

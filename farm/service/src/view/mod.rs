@@ -9,7 +9,7 @@ mod usage;
 mod words;
 mod worker;
 
-pub use job::{JobJson, above_target, unit, wait};
+pub use job::{JobJson, above_target, state, unit, wait, waits_for};
 pub use log::LogJson;
 pub use spec::{SpecJson, error_target};
 pub use table::{FrameJson, TaskJson};

@@ -10,6 +10,7 @@ use femc_proto::PROTOCOL;
 use crate::Cache;
 use crate::meter::Meter;
 use crate::table::{Table, Task};
+use crate::threads::LeftBehind;
 
 /// Counts what a worker does; clones are the same one.
 #[derive(Debug, Clone, Default)]
@@ -18,7 +19,7 @@ pub struct Metrics(Arc<Inner>);
 #[derive(Debug)]
 struct Inner {
     /// Set when the worker runs.
-    parts: OnceLock<(Arc<Table>, Cache, Meter)>,
+    parts: OnceLock<(Arc<Table>, Cache, Meter, LeftBehind)>,
     is_connected: AtomicBool,
     sessions: Counter,
     done: Tally<&'static str>,
@@ -57,9 +58,9 @@ impl Default for Inner {
 }
 
 impl Metrics {
-    pub(crate) fn watch(&self, table: &Arc<Table>, cache: &Cache, meter: &Meter) {
+    pub(crate) fn watch(&self, table: &Arc<Table>, cache: &Cache, meter: &Meter, left_behind: &LeftBehind) {
         // A second worker with the same counters is looked at no closer.
-        let _ = self.0.parts.set((table.clone(), cache.clone(), meter.clone()));
+        let _ = self.0.parts.set((table.clone(), cache.clone(), meter.clone(), left_behind.clone()));
     }
 
     pub(crate) fn connected(&self) {
@@ -122,10 +123,12 @@ impl Metrics {
         page.gauge("femc_worker_connected", help).is(u8::from(is_connected));
         self.put_tasks(&mut page);
         self.put_usage(&mut page);
-        if let Some((table, cache, meter)) = self.0.parts.get() {
+        if let Some((table, cache, meter, left_behind)) = self.0.parts.get() {
             let help = "Processor time while the worker held no task, its start included, in seconds.";
             page.counter("femc_worker_idle_cpu_seconds_total", help).is(meter.idle().as_secs_f64());
             put_held(&mut page, table);
+            let help = "Threads whose tasks were cancelled and that run on, since nothing can interrupt them.";
+            page.gauge("femc_worker_threads_left_behind", help).counts(left_behind.count() as u64);
             cache.put(&mut page);
         }
         process(&mut page);

@@ -4,10 +4,10 @@
 //!
 //! A lane is two threads: one that does a task, the hand, and one that waits for it. Rendering notices a cancellation within
 //! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, whose thread runs on
-//! detached and whose result is discarded, and goes on with a new one: the worker is free for other tasks at once. What is left
-//! behind costs memory and processor until it ends, so a lane leaves few behind and waits when there are more.
+//! detached and whose result is discarded, and goes on with a new one: the worker is free for other tasks at once. A hand that is
+//! left behind costs memory and processor until it ends, so a worker leaves few behind; when there are more, the lane waits.
 
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -72,8 +72,23 @@ struct Runner {
     lane: Lane,
     tools: Tools,
     hand: Hand,
-    /// Hands whose tasks were cancelled and go on all the same.
-    left_behind: Vec<JoinHandle<()>>,
+}
+
+/// Hands whose tasks were cancelled and go on all the same; clones share them.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct LeftBehind(Arc<Mutex<Vec<JoinHandle<()>>>>);
+
+impl LeftBehind {
+    /// How many of them still run.
+    pub(crate) fn count(&self) -> usize {
+        let mut threads = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        threads.retain(|thread| !thread.is_finished());
+        threads.len()
+    }
+
+    fn push(&self, thread: JoinHandle<()>) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(thread);
+    }
 }
 
 /// A thread that does tasks.
@@ -88,11 +103,11 @@ impl Runner {
     const LOOK: Duration = Duration::from_millis(50);
     /// How long a cancelled task may go on before its hand is left behind.
     const GRACE: Duration = Duration::from_millis(250);
-    /// Most hands that are left behind at a time.
+    /// Most hands that a worker leaves behind at a time.
     const MOST: usize = 3;
 
     fn new(name: String, lane: Lane, tools: Tools) -> Result<Self, WorkerError> {
-        Ok(Self { hand: Hand::new(&name, lane, &tools)?, name, lane, tools, left_behind: Vec::new() })
+        Ok(Self { hand: Hand::new(&name, lane, &tools)?, name, lane, tools })
     }
 
     /// Does the task; `None` if it was cancelled and does not end.
@@ -113,7 +128,10 @@ impl Runner {
                 }
                 Err(mpsc::RecvTimeoutError::Timeout) if task.is_cancelled() => {
                     let since = cancelled.get_or_insert_with(Stopwatch::start);
-                    if since.elapsed() >= Self::GRACE && self.may_leave_behind() && self.replace_hand() {
+                    if since.elapsed() >= Self::GRACE
+                        && self.tools.left_behind.count() < Self::MOST
+                        && self.replace_hand()
+                    {
                         tracing::info!(
                             task = %task.key().0,
                             "cancelled, but not interruptible: the thread runs on detached and its result is discarded"
@@ -126,16 +144,11 @@ impl Runner {
         }
     }
 
-    fn may_leave_behind(&mut self) -> bool {
-        self.left_behind.retain(|thread| !thread.is_finished());
-        self.left_behind.len() < Self::MOST
-    }
-
     /// Whether there is a new hand; without one the lane keeps the old.
     fn replace_hand(&mut self) -> bool {
         match Hand::new(&self.name, self.lane, &self.tools) {
             Ok(hand) => {
-                self.left_behind.push(std::mem::replace(&mut self.hand, hand).thread);
+                self.tools.left_behind.push(std::mem::replace(&mut self.hand, hand).thread);
                 true
             }
             Err(error) => {

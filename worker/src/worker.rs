@@ -23,6 +23,7 @@ use crate::outbox::Outbox;
 use crate::plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATISTICS};
 use crate::session::{End, Session};
 use crate::table::{Table, Task};
+use crate::threads::LeftBehind;
 use crate::{availability, simulated, threads};
 
 /// A farm machine.
@@ -71,6 +72,7 @@ impl Worker {
             memory: Memory::new(config.memory.clone()),
             nice,
             journal: config.journal.clone(),
+            left_behind: LeftBehind::default(),
         };
         let table = Arc::new(Table::default());
         let (done, mut finished) = mpsc::unbounded_channel();
@@ -83,7 +85,7 @@ impl Worker {
             Hands::Threads => Meter::of_process(),
             Hands::Simulated(_) => Meter::none(),
         };
-        config.metrics.watch(&table, &config.cache, &meter);
+        config.metrics.watch(&table, &config.cache, &meter, &tools.left_behind);
         let finish = Finish { done, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()) };
         let ahead = match &config.hands {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,

@@ -55,7 +55,8 @@ impl Roster {
     pub fn join(&mut self, name: &str) -> WorkerId {
         let highest = self.numbers.values().flatten().map(|known| known.number.0).max().unwrap_or(0);
         let own = self.numbers.entry(name.to_owned()).or_default();
-        let free = own.iter().filter(|known| !self.present.contains_key(&known.number)).min_by_key(|known| known.number);
+        let free =
+            own.iter().filter(|known| !self.present.contains_key(&known.number)).min_by_key(|known| known.number);
         let known = free.copied().unwrap_or_else(|| {
             let new = Number { number: WorkerId(highest + 1), counts: Counts::default() };
             own.push(new);

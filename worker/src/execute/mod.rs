@@ -32,6 +32,7 @@ use crate::memory::Memory;
 use crate::meter::Doing;
 use crate::nice::Nice;
 use crate::table::Task;
+use crate::threads::LeftBehind;
 use crate::{Cache, Journal};
 
 /// What a task needs beside itself.
@@ -43,6 +44,7 @@ pub(crate) struct Tools {
     pub(crate) memory: Memory,
     pub(crate) nice: Nice,
     pub(crate) journal: Journal,
+    pub(crate) left_behind: LeftBehind,
 }
 
 impl Tools {
@@ -154,6 +156,7 @@ mod tests {
             memory: Memory::default(),
             nice: Nice::tried(None).unwrap(),
             journal: Journal::default(),
+            left_behind: LeftBehind::default(),
         }
     }
 

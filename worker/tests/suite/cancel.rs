@@ -149,11 +149,11 @@ fn balls(count: u32) -> Bundle {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_first_pass_ends_when_it_is_cancelled() {
     let settings = Settings { stop: Stop::Spp(1), method: Method::Fem, ..Settings::default() };
-    // A first pass that takes minutes here, whatever machine and build this is: one of an eighth of its balls takes more than three
+    // A first pass that takes minutes here, whatever machine and build this is: one of a sixteenth of its balls takes more than three
     // seconds, and the interactions grow with the square of their number.
     let mut count = 8;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let of_eighth = loop {
+    let of_sixteenth = loop {
         let bundle = balls(count);
         let source = Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene));
         let world = femc_pipeline::prepare_world(&source, &settings, 1, None).unwrap();
@@ -164,7 +164,7 @@ async fn a_first_pass_ends_when_it_is_cancelled() {
         }
         count *= 2;
     };
-    let bundle = balls(8 * count);
+    let bundle = balls(16 * count);
     let source = Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene));
     let bundle = bundle.encode().unwrap();
     let farm = Coordinator::start(Config::default()).await.unwrap();
@@ -192,8 +192,8 @@ async fn a_first_pass_ends_when_it_is_cancelled() {
     assert!(status.waits.iter().any(is_waited_for), "it is being solved: {status:?}");
     let free = free_after_cancel(&client, heavy).await;
     println!(
-        "solving ({} balls; an eighth of them alone: {of_eighth:?}): free, and another job done, {free:?} after the cancellation",
-        8 * count
+        "solving ({} balls; a sixteenth of them alone: {of_sixteenth:?}): free, and another job done, {free:?} after the cancellation",
+        16 * count
     );
     all_ended(&metrics).await;
     worker.abort();

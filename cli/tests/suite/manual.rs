@@ -183,7 +183,7 @@ fn postgres_and_s3() {
 }
 
 /// Pages whose commands other tests run (`postgres_and_s3`, `openjd`), or without commands.
-const OTHERS: [&str; 4] = ["README.md", "openjd.md", "postgres-s3.md", "wire.md"];
+const OTHERS: [&str; 5] = ["README.md", "design.md", "openjd.md", "postgres-s3.md", "wire.md"];
 
 #[test]
 fn every_page_is_run() {

@@ -25,12 +25,12 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// A failed command: its exit code and one short paragraph (what, where, what to do).
+/// A failed command: its exit code and one short paragraph (problem, location, remedy).
 #[derive(Debug)]
 pub struct Failure {
     /// Exit code.
     pub exit: Exit,
-    /// What, where, what to do.
+    /// Problem, location and remedy.
     pub message: String,
 }
 
@@ -49,7 +49,7 @@ impl From<ReportError> for Failure {
     }
 }
 
-/// Creates the failure of a task that was done without success.
+/// Creates the failure of a command that could not do its work.
 pub fn failed(message: impl fmt::Display) -> Failure {
     Failure { exit: Exit::Failed, message: message.to_string() }
 }

@@ -58,8 +58,8 @@ pub struct CoordinatorArgs {
     /// artifacts (without it they are kept forever)
     #[arg(long, value_name = "DURATION", value_parser = keep_ended)]
     keep_ended: Option<Duration>,
-    /// Size limit of the shared-result cache: results that later jobs can reuse, the latest ones; results that a job waits for are
-    /// always kept
+    /// Size limit of the shared-result cache: the latest results are kept for later jobs; results that a job waits for are always
+    /// kept
     #[arg(long, value_name = "SIZE", default_value = "16GiB")]
     keep_shared: Volume,
     /// Store of scenes, tiles and images: a folder, s3://BUCKET/PREFIX (keys, region and endpoint come from AWS_ACCESS_KEY_ID,

@@ -72,7 +72,7 @@ pub struct PathsArgs {
     /// List N paths with the rarest attributes, the rarest first
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "few")]
     rarest: Option<u32>,
-    /// With --table voxels: subtract this frame of the same scene, to list what its voxels lack
+    /// With --table voxels: subtract the voxels of this frame of the same place
     #[arg(long, value_name = "FRAME.paths")]
     minus: Option<PathBuf>,
     /// Subject of a line

@@ -1,4 +1,5 @@
-//! Subjects of `femc stats` and `femc report`: jobs of a farm, or the folder of a sweep, which keeps the records of its jobs.
+//! Subjects of `femc stats` and `femc report`: jobs of a farm, or the folder of a sweep. The folder contains the records of the
+//! sweep's jobs.
 
 use super::client::{self, Farm};
 use crate::args::ServerArgs;

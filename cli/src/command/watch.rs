@@ -100,7 +100,7 @@ pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
 pub(super) struct Words {
     /// Name of the activity, such as `the watch`.
     pub(super) who: &'static str,
-    /// Way to continue after Ctrl-C.
+    /// Command to continue after Ctrl-C.
     pub(super) again: String,
 }
 

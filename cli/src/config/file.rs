@@ -1,7 +1,7 @@
 //! `femc.toml`: settings by the long names of their flags.
 //!
 //! ```toml
-//! server = "http://farm:7878"     # what many commands share stands at the top
+//! server = "http://farm:7878"     # settings of many commands come first
 //! [coordinator]
 //! listen = "0.0.0.0:7878"
 //! share = ["ann=3", "bob=1"]

@@ -115,7 +115,8 @@ fn with_negative_values(command: &Command, args: Vec<OsString>) -> Vec<OsString>
     all
 }
 
-/// Replaces the messages of the standard library's number parsers ("invalid digit found in string") by ones that say what to write.
+/// Replaces the messages of the standard library's number parsers ("invalid digit found in string") by messages that say what to
+/// write.
 fn in_own_words(error: clap::Error) -> clap::Error {
     let text = |kind| match error.get(kind) {
         Some(ContextValue::String(text)) => text.clone(),

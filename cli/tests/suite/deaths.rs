@@ -42,7 +42,7 @@ fn a_task_that_always_kills_its_worker_is_put_aside_and_the_other_frames_are_don
     let answer = status(&place, &url, &job);
     assert_eq!((answer["state"].as_str(), answer["frames_done"].as_u64()), (Some("failed"), Some(1)), "{answer}");
     assert!(answer.to_string().contains("workers died 5 times while they computed it; the last was lab"), "{answer}");
-    // A worker on which the task does no harm completes it after all, and the frames equal those of one process.
+    // A worker without the fault completes the task after a retry, and the frames equal those of one process.
     drop(killed);
     let _healthy = worker(&place, &url, None);
     place.run(&format!("retry {job} --server {url}")).exits(0);

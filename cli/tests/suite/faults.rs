@@ -19,7 +19,7 @@ const SETTINGS: &str = "--spp 64 --size 32x32 --frames 1..2";
 /// Tasks of a submitted job: per frame four tiles, two groups (of three tiles and of one) and an image. `femc render` reduces four
 /// tiles at once.
 const TASKS: usize = 2 * (4 + 2 + 1);
-/// Number of points that are tested in parallel; most of their time is waiting.
+/// Number of points that are tested in parallel. Most of a test's time is waiting.
 const LANES: usize = 4;
 
 /// Time after which a resumed worker has reported everything that it had to report: one lease.

@@ -231,8 +231,8 @@ fn the_record_says_who_did_what_and_what_was_refused_and_no_secret() {
     assert!(lines.iter().all(|line| line["call"] != "Jobs/Watch"), "who looks changes nothing");
 }
 
-/// Checks that loading pages without a login is not recorded as refused, but that calls without a login are, and connections
-/// without a request.
+/// Checks the audit log. Pages that are loaded without a login are not recorded as refused. Calls without a login and connections
+/// without a request are.
 #[test]
 fn a_page_that_is_loaded_from_an_encrypted_coordinator_is_not_in_the_record_as_refused() {
     let place = Place::new();

@@ -21,7 +21,7 @@ pub struct PaintingArgs {
     /// Render under the painting [default: that of the styles that come with femc]
     #[arg(long, value_name = "A.exr", requires = "style")]
     pub style_source: Option<PathBuf>,
-    /// How much the painting of a clip may change where the frames do not, from 0 (nothing) to 1 (each frame is painted
+    /// Amount by which the painting of a clip may change where the frames do not, from 0 (none) to 1 (each frame is painted
     /// independently) [default: 0.2]
     #[arg(long, value_name = "PART", requires = "style")]
     pub boil: Option<f32>,

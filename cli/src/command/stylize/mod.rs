@@ -57,7 +57,7 @@ pub struct StylizeArgs {
     /// Importance of using the whole painting: the color difference, in levels of 255, that average use is worth
     #[arg(long, value_name = "LEVELS", default_value_t = Settings::default().balance)]
     balance: f32,
-    /// How much the painting of a clip may change where the frames do not, from 0 (nothing) to 1 (each frame is painted
+    /// Amount by which the painting of a clip may change where the frames do not, from 0 (none) to 1 (each frame is painted
     /// independently)
     #[arg(long, value_name = "PART", default_value_t = Settings::default().boil)]
     boil: f32,

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 const THUMBNAIL: u32 = 240;
 /// Largest number of pictures per row.
 const COLUMNS: usize = 10;
-/// Largest number of rows: as much as a person looks at and viewers can open.
+/// Largest number of rows that viewers can open and people look at.
 const ROWS: usize = 200;
 /// Largest number of pictures that determine the exposure.
 const EXPOSED: usize = 32;

@@ -38,7 +38,7 @@ pub struct Planned {
     pub values: Vec<Value>,
     /// First part of the names of its frames' files.
     pub stem: String,
-    /// The job of all its frames, named by the file names' first part and by what varies.
+    /// Job of all frames of the variant. Its name consists of the file names' first part and the variant's name.
     pub spec: JobSpec,
     /// Stopping rule of a frame.
     pub stop: Stop,

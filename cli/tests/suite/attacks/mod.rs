@@ -67,7 +67,7 @@ impl Target {
         self.place.run(&format!("submit fog.mgf --frames 1 --spp 1 --server {}", self.url)).exits(0);
     }
 
-    /// Issues and returns a user's token.
+    /// Reads a user's token.
     fn token(&self, name: &str) -> String {
         let text = std::fs::read_to_string(self.place.path(&format!("{name}.token"))).expect("a token");
         text.lines().next().expect("a line").trim().to_owned()

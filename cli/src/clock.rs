@@ -1,4 +1,4 @@
-//! The program's one clock: everything else is given its readings.
+//! The program's only clock. All other code receives its readings.
 
 use std::time::{Duration, Instant};
 
@@ -11,12 +11,12 @@ pub struct Clock;
 pub struct Moment(Instant);
 
 impl Clock {
-    /// Now.
+    /// Returns the current reading.
     pub fn now(self) -> Moment {
         Moment(Instant::now())
     }
 
-    /// Time from `moment` to now.
+    /// Returns the time from `moment` to now.
     pub fn since(self, moment: Moment) -> Duration {
         self.now().0.saturating_duration_since(moment.0)
     }

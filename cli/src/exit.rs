@@ -1,19 +1,19 @@
-//! How a command ends: the exit codes that scripts rely on, and the one short paragraph that goes with a failure.
+//! Exit codes that scripts rely on, and failures with one short paragraph of text.
 
 use femc_reports::{Blame, ReportError};
 use std::fmt;
 use std::process::ExitCode;
 
-/// The exit codes of the contract.
+/// Exit codes of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// Done.
+    /// Success.
     Done = 0,
     /// The work failed, or a check found a fault.
     Failed = 1,
     /// Wrong usage.
     Usage = 2,
-    /// Interrupted; the same command goes on where this one stopped.
+    /// Interrupted; rerun the command to resume.
     Interrupted = 3,
     /// The server could not be reached.
     Unreachable = 4,
@@ -25,12 +25,12 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// A failed command: its exit code and one short paragraph (what, where, what to do).
+/// A failed command: its exit code and one short paragraph (problem, location, remedy).
 #[derive(Debug)]
 pub struct Failure {
     /// Exit code.
     pub exit: Exit,
-    /// What, where, what to do.
+    /// Problem, location and remedy.
     pub message: String,
 }
 
@@ -49,22 +49,22 @@ impl From<ReportError> for Failure {
     }
 }
 
-/// The work failed.
+/// Creates the failure of a command that could not do its work.
 pub fn failed(message: impl fmt::Display) -> Failure {
     Failure { exit: Exit::Failed, message: message.to_string() }
 }
 
-/// Wrong usage.
+/// Creates the failure of wrong usage.
 pub fn usage(message: impl fmt::Display) -> Failure {
     Failure { exit: Exit::Usage, message: message.to_string() }
 }
 
-/// Interrupted by the user; can be resumed.
+/// Creates the failure of a command that the user interrupted and can resume.
 pub fn interrupted(message: impl fmt::Display) -> Failure {
     Failure { exit: Exit::Interrupted, message: message.to_string() }
 }
 
-/// The server cannot be reached.
+/// Creates the failure of an unreachable server.
 pub fn unreachable(message: impl fmt::Display) -> Failure {
     Failure { exit: Exit::Unreachable, message: message.to_string() }
 }

@@ -1,8 +1,9 @@
-//! `femc`: scenes to frames, on this machine or a farm.
+//! `femc`: renders scenes to frames, on this machine or on a farm.
 //!
-//! Arguments as typed ([`args`], of [`values`]) become a request as meant ([`request`]); a command ([`command`]) does it with
-//! the engine's and the farm's libraries; [`output`] says what came of it. A module uses those before it alone: values, args,
-//! output, request, command, then what starts them ([`config`], [`log`]); `femc-tests` looks for circles.
+//! Typed arguments ([`args`], made of [`values`]) become a resolved request ([`request`]). A command ([`command`]) executes the
+//! request with the libraries of the engine and the farm. [`output`] prints the result. A module uses only modules that come before
+//! it in this order: values, args, output, request, command, then the startup modules ([`config`], [`log`]). `femc-tests` checks
+//! that there are no cycles.
 
 mod args;
 mod clock;

@@ -4,11 +4,12 @@ use femc_model::JobSpec;
 use femc_worker::{Video, Wish};
 use std::path::{Path, PathBuf};
 
-/// What is made of a run's frames, all under one exposure: the same on every command that renders, submits or plans.
+/// Outputs that are made of all frames of a run, under one exposure. Every command that renders, submits or plans takes these
+/// flags.
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = "Pictures")]
 pub struct ExtrasArgs {
-    /// Make a clip of the frames: .png, .apng and .gif are written by femc, any other format by ffmpeg
+    /// Make a clip of the frames: femc writes .png, .apng and .gif, ffmpeg writes any other format
     #[arg(long, value_name = "FILE")]
     pub video: Option<PathBuf>,
     /// Write a PNG beside every EXR
@@ -20,7 +21,7 @@ pub struct ExtrasArgs {
 }
 
 impl ExtrasArgs {
-    /// Refuses names that promise another format.
+    /// Refuses file names whose extension belongs to another format.
     pub fn check(&self) -> Result<(), Failure> {
         match self.contact_sheet.as_ref().filter(|sheet| sheet.extension().is_none_or(|e| e != "png")) {
             Some(sheet) => Err(usage(format!("--contact-sheet {}: a sheet is a PNG; give FILE.png", sheet.display()))),
@@ -28,8 +29,8 @@ impl ExtrasArgs {
         }
     }
 
-    /// The same as a job's: its files lie in the folder that they are fetched into.
-    /// - `rate`: frames a second of a clip.
+    /// Returns the outputs as a farm job needs them: file names without folders, because `femc fetch` chooses the folder.
+    /// - `rate`: frames per second of a clip.
     pub fn wish(&self, rate: f64) -> Result<Wish, Failure> {
         self.check()?;
         let sheet = self.contact_sheet.as_deref().map(|path| name("--contact-sheet", path)).transpose()?;
@@ -45,7 +46,7 @@ impl ExtrasArgs {
     }
 }
 
-/// A file's name without a folder.
+/// Returns a file name that contains no folder.
 fn name(flag: &str, path: &Path) -> Result<String, Failure> {
     let name = path.to_str().filter(|name| JobSpec::names_files(name));
     let wrong =

@@ -1,14 +1,14 @@
 use clap::Args;
 use std::net::SocketAddr;
 
-/// Where a service shows how it is.
+/// Address of a service's metrics page.
 #[derive(Clone, Debug, Args)]
 pub struct MetricsArgs {
-    /// Show /metrics (for Prometheus), /healthz and /readyz over HTTP on this port of this machine; with an address, there
+    /// Serve /metrics (for Prometheus), /healthz and /readyz over HTTP on this port of 127.0.0.1, or on this address and port
     ///
-    /// Show /metrics (for Prometheus), /healthz and /readyz over HTTP on this port of this machine; with an address, there. Not
-    /// encrypted, and open to whoever reaches it: it tells numbers, no names of jobs, owners or workers. Off without this:
-    /// several workers of one machine could not share a port that nobody chose.
+    /// Serve /metrics (for Prometheus), /healthz and /readyz over HTTP on this port of 127.0.0.1, or on this address and port. The
+    /// pages are not encrypted, and everybody who can reach them can read them. They contain numbers, but no names of jobs, owners
+    /// or workers. Off by default, because several workers on one machine cannot share a default port.
     #[arg(long, value_name = "[ADDRESS:]PORT", value_parser = address)]
     pub metrics: Option<SocketAddr>,
 }

@@ -1,4 +1,4 @@
-//! The arguments that commands share, as typed; what a command has alone is in its file under `command/`.
+//! Arguments that several commands share, as typed. Arguments of a single command are in its file under `command/`.
 
 mod extras;
 mod metrics;
@@ -24,37 +24,36 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Args)]
 #[command(next_display_order = 900)]
 pub struct CommonArgs {
-    /// Say less: no progress, no notes, only errors and the result
+    /// Print less: no progress, no notes, only errors and the result
     #[arg(long, short, global = true, conflicts_with = "verbose")]
     pub quiet: bool,
-    /// Say more; up to three times
+    /// Print more; up to three times
     #[arg(long, short, global = true, action = ArgAction::Count)]
     pub verbose: u8,
-    /// Colors: on a terminal, always, or never (NO_COLOR is heeded)
+    /// Colors: on a terminal, always, or never (NO_COLOR is respected)
     #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto, value_name = "WHEN")]
     pub color: ColorChoice,
-    /// The log on stderr: text for people, or a JSON object a line
+    /// Format of the log on stderr: text for people, or one JSON object per line
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text, value_name = "FORMAT", env = "FEMC_LOG_FORMAT")]
     pub log_format: LogFormat,
-    /// File of settings [default: femc.toml here, in ~/.config/femc or in /etc/femc, the first that is there]
+    /// File of settings [default: the first of femc.toml here, in ~/.config/femc and in /etc/femc that exists]
     #[arg(long, global = true, value_name = "FILE", env = "FEMC_CONFIG")]
     pub config: Option<PathBuf>,
-    /// Print the command's settings as they hold (flag, then environment, then file, then default), each with where it comes
-    /// from, and do nothing
+    /// Print the command's effective settings (flag, then environment, then file, then default) with their sources, and exit
     #[arg(long, global = true)]
     pub print_config: bool,
 }
 
-/// The form of the log.
+/// Format of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum LogFormat {
-    /// For people.
+    /// Text for people.
     Text,
-    /// For machines.
+    /// JSON for programs.
     Json,
 }
 
-/// When to use colors.
+/// Rule for the use of colors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ColorChoice {
     /// On a terminal, unless NO_COLOR is set.
@@ -65,38 +64,38 @@ pub enum ColorChoice {
     Never,
 }
 
-/// The output form of a command that lists or measures.
+/// Output format of a command that lists or measures.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct FormatArgs {
-    /// Print JSON on stdout, for machines
+    /// Print JSON on stdout
     #[arg(long)]
     pub json: bool,
 }
 
-/// The address of the farm, for every client command.
+/// Address of the farm, for every client command.
 #[derive(Clone, Debug, Args)]
 pub struct ServerArgs {
-    /// The farm's coordinator; of several, with commas between, the one that answers
+    /// URL of the farm's coordinator; several URLs with commas: the one that answers is used
     #[arg(long, env = "FEMC_SERVER", value_name = "URL,..", default_value = "http://127.0.0.1:7878")]
     pub server: String,
     #[command(flatten)]
     pub identity: IdentityArgs,
 }
 
-/// Who this program says that it is.
+/// Credentials of this program.
 #[derive(Clone, Debug, Args)]
 pub struct IdentityArgs {
-    /// File that says who you are, for addresses that begin with https://; `femc ca issue` makes one
+    /// Identity file, for addresses that begin with https://; `femc ca issue` makes one
     #[arg(long, env = "FEMC_IDENTITY", value_name = "FILE")]
     pub identity: Option<PathBuf>,
-    /// File with a token that says who you are, instead; `femc ca token` makes one. It is sent to https:// addresses and to
-    /// this machine, nowhere else
+    /// Token file, instead of an identity; `femc ca token` makes one. The token is sent to https:// addresses and to this machine,
+    /// nowhere else
     #[arg(long, env = "FEMC_TOKEN_FILE", value_name = "FILE", conflicts_with = "identity")]
     pub token_file: Option<PathBuf>,
 }
 
 impl IdentityArgs {
-    /// How to reach a coordinator with it.
+    /// Returns the way to connect to a coordinator with these credentials.
     pub fn dial(&self) -> Result<Dial, Failure> {
         let dial = match &self.identity {
             None => Dial::tcp(),
@@ -108,7 +107,7 @@ impl IdentityArgs {
     }
 }
 
-/// Read one.
+/// Reads an identity file.
 pub fn identity(path: &Path) -> Result<Identity, Failure> {
     Identity::read(path).map_err(|error| failed(format!("--identity: {error}")))
 }

@@ -1,4 +1,4 @@
-//! Notes on a job: what people find it by, and who is told of its end.
+//! Notes on a job: comment, labels, and the URL that is notified of its end.
 
 use crate::exit::{Failure, usage};
 use clap::Args;
@@ -7,19 +7,20 @@ use femc_model::{JobNotes, JobSpec};
 /// Notes on a job.
 #[derive(Clone, Debug, Default, Args)]
 pub struct NotesArgs {
-    /// A line for people about the job
+    /// Comment on the job, one line
     #[arg(long, value_name = "TEXT")]
     comment: Option<String>,
-    /// A name and a value to find the job by; may be given again
+    /// Label to find the job by; repeatable
     #[arg(long = "label", value_name = "NAME=VALUE", value_parser = label)]
     labels: Vec<(String, String)>,
-    /// The coordinator posts a message there when the job has ended; only URLs that it allows (`femc coordinator --notify-allow`)
+    /// URL to which the coordinator posts a message when the job has ended; the coordinator must allow it
+    /// (`femc coordinator --notify-allow`)
     #[arg(long, value_name = "URL")]
     notify: Option<String>,
 }
 
 impl NotesArgs {
-    /// Notes of a job file with those of the command line in their place.
+    /// Returns the notes of a job file, replaced or extended by those of the command line.
     pub fn over(&self, file: JobNotes) -> Result<JobNotes, Failure> {
         let mut notes = file;
         if let Some(comment) = &self.comment {
@@ -32,7 +33,7 @@ impl NotesArgs {
     }
 }
 
-/// A label as typed.
+/// Parses a label.
 pub fn label(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
@@ -40,7 +41,7 @@ pub fn label(text: &str) -> Result<(String, String), String> {
     }
 }
 
-/// A name that a job can have.
+/// Parses the name of a job.
 pub fn job_name(text: &str) -> Result<String, String> {
     if text.len() > JobSpec::MAX_NAME {
         return Err(format!("a name has {} bytes at most", JobSpec::MAX_NAME));

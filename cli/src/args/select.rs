@@ -1,30 +1,30 @@
-//! Which jobs are meant.
+//! Selection of jobs.
 
 use super::notes::label;
 use clap::Args;
 use femc_model::JobStatus;
 
-/// Jobs by what they are.
+/// Jobs by owner, name and labels.
 #[derive(Clone, Debug, Default, Args)]
 pub struct SelectArgs {
     /// Jobs of this owner
     #[arg(long, value_name = "NAME")]
     pub owner: Option<String>,
-    /// Jobs of this name; * stands for any text, like 'fog-*'
+    /// Jobs of this name; * matches any text, like 'fog-*'
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
-    /// Jobs that have this label; may be given again
+    /// Jobs that have this label; repeatable
     #[arg(long = "label", value_name = "NAME=VALUE", value_parser = label)]
     pub labels: Vec<(String, String)>,
 }
 
 impl SelectArgs {
-    /// Whether nothing was said.
+    /// Returns whether no condition is given.
     pub fn is_empty(&self) -> bool {
         self.owner.is_none() && self.name.is_none() && self.labels.is_empty()
     }
 
-    /// Whether a job is meant.
+    /// Returns whether a job fits all conditions.
     pub fn holds(&self, job: &JobStatus) -> bool {
         self.owner.as_ref().is_none_or(|owner| *owner == job.owner)
             && self.name.as_ref().is_none_or(|name| fits(name, &job.name))
@@ -35,12 +35,12 @@ impl SelectArgs {
     }
 }
 
-/// Whether a text is so, where each * stands for any text.
+/// Returns whether a text matches a pattern, in which each * matches any text.
 pub fn fits(pattern: &str, text: &str) -> bool {
     let Some((head, mut rest)) = pattern.split_once('*') else { return pattern == text };
     let Some(mut text) = text.strip_prefix(head) else { return false };
     while let Some((part, next)) = rest.split_once('*') {
-        // The first place is as good as any: what follows may begin anywhere behind it.
+        // The first match is enough: the rest of the pattern may begin anywhere behind it.
         let Some(at) = text.find(part) else { return false };
         text = &text[at + part.len()..];
         rest = next;

@@ -4,16 +4,16 @@ use clap::{Args, ValueEnum};
 use femc_pipeline::Layer;
 use std::path::PathBuf;
 
-/// Which samples are in the histograms.
+/// Samples that the histograms contain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Stats {
-    /// Those whose paths are recorded
+    /// Samples whose paths are recorded
     Some,
-    /// All
+    /// All samples
     Full,
 }
 
-/// Render settings as typed, the same on every command that renders or plans. `None`: not typed.
+/// Render settings as typed, the same for every command that renders or plans. `None`: not typed.
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = "Render settings")]
 pub struct SettingsArgs {
@@ -26,69 +26,69 @@ pub struct SettingsArgs {
     /// Frames of the clip: K, A..B (B included) or A..B+STEP, with commas between several [default: all]
     #[arg(long, value_name = "FRAMES")]
     pub frames: Option<Frames>,
-    /// Stop at N samples a pixel
+    /// Stop at N samples per pixel
     #[arg(long, value_name = "N", group = "stop", value_parser = clap::value_parser!(u32).range(1..))]
     pub spp: Option<u32>,
     /// Stop when every 16x16 block's mean has relative error E at 95 % confidence [default: 0.05]
     ///
-    /// Stop when the mean of every 16x16 block of pixels has relative error E at 95 % confidence [default: 0.05].
-    /// Tiles end one by one. The samples of a tile are two independent halves, and whether one has enough is decided by the
-    /// other, so that stopping does not darken the image. The file says what was reached, block by block.
+    /// Stop when the mean of every 16x16 block of pixels has relative error E at 95 % confidence [default: 0.05]. Each tile stops
+    /// by itself. The samples of a tile are two independent halves, and each half decides whether the other has enough samples, so
+    /// that stopping does not darken the image. The file states the error of each block.
     #[arg(long, value_name = "E", group = "stop", value_parser = positive)]
     pub error: Option<f64>,
-    /// Stop at a time budget a frame: 90s, 2m, 1h30m
+    /// Stop at a time budget per frame: 90s, 2m, 1h30m
     ///
-    /// Stop at a time budget a frame, wall time from its first lease: 90s, 2m, 1h30m. Tiles get samples by their error and cost. The
-    /// clock decides how many there are, so the file states how they were divided, and `femc render --replay FILE` renders the
-    /// same pixels once more.
+    /// Stop at a time budget per frame, wall time from its first lease: 90s, 2m, 1h30m. Samples are distributed to tiles by error
+    /// and cost. Their number depends on the clock, so the file records how they were distributed, and `femc render --replay FILE`
+    /// renders the same pixels again.
     #[arg(long, value_name = "DURATION", group = "stop")]
     pub time: Option<Budget>,
-    /// Path tracing alone, the first pass alone, both, or what a pilot finds faster [default: auto]
+    /// Path tracing alone, the first pass alone, both, or the one that a pilot finds faster [default: auto]
     #[arg(long, value_enum)]
     pub method: Option<Method>,
-    /// Longest path in segments, the one from the camera counting 1; 0: unbounded [default: 0]
+    /// Longest path in segments, counting the one from the camera; 0: unbounded [default: 0]
     #[arg(long, value_name = "N")]
     pub max_depth: Option<u32>,
     /// Pixel filter; box: a pixel is the mean luminance over its area [default: box]
     #[arg(long, value_enum)]
     pub filter: Option<Filter>,
-    /// Seed: the same seed gives the same image, to the bit, for any number of workers and threads [default: 1]
+    /// Seed: the same seed gives the same image bit by bit, for any number of workers and threads [default: 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Workers in this process [default: 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub workers: Option<u32>,
-    /// Threads of each worker [default: all cores]
+    /// Threads per worker [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub threads: Option<u32>,
     /// Override a scalar of the scene, like medium.fog.sigma_s=0.03 (repeatable)
     #[arg(long, value_name = "SELECTOR=VALUE")]
     pub set: Vec<Override>,
-    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    /// Folder that contains the includes, textures and lamps of the scene, at any depth [default: the scene's folder]
     #[arg(long, value_name = "DIR")]
     pub root: Option<PathBuf>,
-    /// Write light statistics beside each frame, as FRAME.paths: counts of all samples, and whole paths of some (`femc paths`)
+    /// Write light statistics beside each frame, as FRAME.paths: counts of all samples, and some whole paths (`femc paths`)
     ///
-    /// Write light statistics beside each frame, as FRAME.paths: counts and maps of all samples, and whole paths of some (`femc paths`,
-    /// `femc bottlenecks`). With `--stats=full` all samples are in the histograms of each attribute, in place of those that are recorded; that
-    /// takes about half as long again.
+    /// Write light statistics beside each frame, as FRAME.paths: counts and maps of all samples, and some whole paths
+    /// (`femc paths`, `femc bottlenecks`). With `--stats=full` the histograms of each attribute contain all samples instead of the
+    /// recorded ones; that takes about 50 % longer.
     #[arg(long, value_enum, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "some")]
     pub stats: Option<Stats>,
-    /// Write a layer of the light, too, into FRAME.layers.exr: a name and a light path expression, like direct=CDL (repeatable)
+    /// Also write a layer of the light into FRAME.layers.exr: a name and a light path expression, like direct=CDL (repeatable)
     ///
-    /// Write a layer of the light, too, into FRAME.layers.exr, beside the frame: a name and a light path expression in the grammar of Open
-    /// Shading Language, like `--layer direct=CDL` (repeatable). `docs/layers.md` has the grammar and examples.
+    /// Also write a layer of the light into FRAME.layers.exr, beside the frame: a name and a light path expression in the grammar
+    /// of Open Shading Language, like `--layer direct=CDL` (repeatable). `docs/layers.md` has the grammar and examples.
     #[arg(long, value_name = "NAME=EXPRESSION")]
     pub layer: Vec<Layer>,
-    /// The same by names: guides (five), lamps (one a lamp), direct, indirect, fog, surfaces; of what the camera sees first normal,
-    /// position, depth, albedo, motion, object, material
+    /// Also write predefined layers: guides (five), lamps (one per lamp), direct, indirect, fog, surfaces; of the first hit:
+    /// normal, position, depth, albedo, motion, object, material
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub layers: Vec<String>,
 }
 
 impl SettingsArgs {
-    /// These settings, with those of a job file where nothing was typed. Overrides add up; the typed ones come last,
-    /// so that they win.
+    /// Returns these settings, completed by those of a job file. Overrides of both are kept; the typed ones come last, so that they
+    /// win.
     pub fn over(self, job: Self) -> Self {
         let typed_stop = self.spp.is_some() || self.error.is_some() || self.time.is_some();
         let (spp, error, time) =
@@ -115,7 +115,7 @@ impl SettingsArgs {
     }
 }
 
-/// A finite number > 0.
+/// Parses a finite number > 0.
 fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() && number > 0.0 => Ok(number),

@@ -1,11 +1,11 @@
 use clap::ValueEnum;
 use serde::Deserialize;
 
-/// How light is computed.
+/// Method of light transport.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// A pilot's choice between `pt` and `femc`.
+    /// A pilot chooses between `pt` and `femc`.
     Auto,
     /// Path tracing alone.
     Pt,

@@ -1,4 +1,4 @@
-//! `femc backup DIR`: a copy of a running farm.
+//! `femc backup DIR`: copies a running farm.
 
 use super::client::{self, Farm};
 use crate::args::ServerArgs;
@@ -12,10 +12,10 @@ use tokio::task::JoinSet;
 
 /// Copy a running farm: its log of jobs, and the artifacts that the log refers to
 ///
-/// The log is copied as it is at one moment, while the farm works on; it waits for its coordinator's disk meanwhile, some tenths
-/// of a second for 100 MB. Then the artifacts are fetched that DIR does not have yet: a second backup into the same folder takes
-/// what is new. What has become superfluous in between is left out; a farm that is started from the copy makes again what it
-/// misses.
+/// The log is copied as of one moment, while the farm works on; meanwhile the coordinator cannot write to its disk, for some tenths
+/// of a second per 100 MB. Then the artifacts are fetched that DIR does not have yet: a second backup into the same folder fetches
+/// only new ones. Artifacts that were removed in between are left out; a farm that is started from the copy makes them again if it
+/// needs them.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc backup /backup/farm\n  \
@@ -23,20 +23,20 @@ use tokio::task::JoinSet;
     cp -r /backup/farm . && femc coordinator --store sqlite:farm/farm.db --artifacts farm/artifacts    # restore\n\n\
     Takes an admin, where the farm has roles. A log in PostgreSQL is copied with `pg_dump --schema=femc`.")]
 pub struct BackupArgs {
-    /// Folder that gets farm.db, artifacts.txt and artifacts/; made if it is not there
+    /// Folder for farm.db, artifacts.txt and artifacts/; created if missing
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// Fetch no artifacts: artifacts.txt names them, as paths in the farm's folder of artifacts
+    /// Fetch no artifacts: artifacts.txt lists them, as paths in the farm's folder of artifacts
     #[arg(long)]
     log_only: bool,
     #[command(flatten)]
     server: ServerArgs,
 }
 
-/// Artifacts that are fetched at a time.
+/// Artifacts that are fetched at the same time.
 const AT_ONCE: usize = 4;
 
-/// Copy.
+/// Runs `femc backup`.
 pub fn run(args: &BackupArgs, say: Say) -> Result<Exit, Failure> {
     let fault = |e| failed(format!("{}: {e}; give a folder that can be written", args.folder.display()));
     std::fs::create_dir_all(&args.folder).map_err(fault)?;
@@ -60,7 +60,7 @@ pub fn run(args: &BackupArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The log, whole or not at all; what it refers to.
+/// Copies the log atomically and returns the artifacts that it refers to.
 async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artifact>, Failure> {
     let (new, path) = (folder.join("farm.db.new"), folder.join("farm.db"));
     let fault = |e| failed(format!("{}: {e}; give a folder that can be written", new.display()));
@@ -68,7 +68,7 @@ async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artifact>, Failure> {
     let artifacts = farm.backup(&mut file).await?;
     file.sync_all().await.map_err(fault)?;
     for beside in ["farm.db-wal", "farm.db-shm", "farm.db-mark"] {
-        // Of a coordinator that ran on an earlier copy: it is not of this one.
+        // These files belong to an earlier copy on which a coordinator ran, not to this one.
         match std::fs::remove_file(folder.join(beside)) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(fault(error)),
             Ok(()) | Err(_) => {}
@@ -78,7 +78,7 @@ async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artifact>, Failure> {
     Ok(artifacts)
 }
 
-/// Fetches what is not there; how many came, and how many the farm has no more.
+/// Fetches the missing artifacts. Returns how many were fetched, and how many the farm no longer has.
 async fn fetch(farm: &Farm, folder: &Path, artifacts: &[Artifact]) -> Result<(u64, u64), Failure> {
     let store = Store::folder(folder).map_err(failed)?;
     let (mut fetched, mut gone, mut running) = (0, 0, JoinSet::new());

@@ -1,4 +1,5 @@
-//! `femc bottlenecks FRAME.paths...`: which objects, materials and lamps make frames noisy, and which make their paths long.
+//! `femc bottlenecks FRAME.paths...`: lists the objects, materials and lamps that make frames noisy, and those that make paths
+//! long.
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure};
@@ -8,7 +9,7 @@ use femc_reports::attempts::{Column, csv, human};
 use femc_reports::light::{self, Report, bottleneck_table as table};
 use std::path::PathBuf;
 
-/// Say which objects, materials and lamps make frames noisy, and which make their paths long
+/// List the objects, materials and lamps that make frames noisy, and those that make paths long
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc bottlenecks box.paths                                  # what stands out, and the parts it stands out of\n  \
@@ -22,29 +23,29 @@ use std::path::PathBuf;
     on average. left: the throughput that is left to them at the 8th; much of it needs long paths.\n\n\
     `femc render --stats` writes the files. A file has the brightest samples of each tile, all of them, and a fair subset of the others.")]
 pub struct BottlenecksArgs {
-    /// The files beside the frames
+    /// Statistics files (.paths) of the frames
     #[arg(value_name = "FRAME.paths", required = true)]
     files: Vec<PathBuf>,
-    /// What a line is of; without it the findings and their parts are listed
+    /// Subject of a line; without it, findings and their parts are listed
     #[arg(long, value_enum, value_name = "WHAT")]
     of: Option<Of>,
-    /// What lines are ordered by
+    /// Sort key of the lines
     #[arg(long, value_enum, default_value_t = Order::Noise, value_name = "WHAT")]
     by: Order,
-    /// Lines for people
+    /// Number of lines in the table
     #[arg(long, value_name = "N", default_value_t = 15)]
     lines: usize,
-    /// Print CSV on stdout, the names of the columns first
+    /// Print CSV on stdout, with a header line
     #[arg(long, conflicts_with = "json")]
     csv: bool,
     #[command(flatten)]
     format: FormatArgs,
 }
 
-/// What is listed.
+/// Subject of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Of {
-    /// An object, a material and an interaction
+    /// A combination of object, material and interaction
     Parts,
     /// An object
     Objects,
@@ -56,7 +57,7 @@ pub enum Of {
     Fireflies,
 }
 
-/// What comes first.
+/// Sort key of the lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Order {
     /// The most noise
@@ -80,7 +81,7 @@ impl From<Order> for light::Order {
     }
 }
 
-/// List.
+/// Runs `femc bottlenecks`.
 pub fn run(args: &BottlenecksArgs, say: Say) -> Result<Exit, Failure> {
     let report = Report::read(&args.files, args.by.into())?;
     if args.format.json {
@@ -113,7 +114,7 @@ pub fn run(args: &BottlenecksArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// For people.
+/// Prints a table for people.
 fn show<R>(say: Say, columns: &[Column<R>], rows: &[R], lines: usize) {
     if rows.is_empty() {
         say.note("nothing is recorded of that");

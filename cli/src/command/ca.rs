@@ -1,4 +1,4 @@
-//! `femc ca`: the farm's own authority, which says who belongs to it.
+//! `femc ca`: manages the farm's own certificate authority, which issues identities and tokens.
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure, failed, usage};
@@ -8,10 +8,11 @@ use femc_trust::{Authority, Holder, Issue, Issued, Role, TrustError, browser_fin
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Make an authority of the farm's own, and identities for its coordinators, workers and users
+/// Manage the farm's own authority, and identities for its coordinators, workers and users
 ///
 /// An identity is one file: a certificate, its private key, and the authority's certificate. Coordinators, workers and users show
-/// theirs to each other; whoever has none is not let in. Keep the authority's folder where only administrators can read it.
+/// their identities to each other; connections without one are refused. Keep the authority's folder where only administrators can
+/// read it.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc ca init\n  \
@@ -34,10 +35,10 @@ pub struct CaArgs {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Make the authority
+    /// Create the authority
     #[command(after_help = "Examples:\n  femc ca init\n  femc ca init --dir /etc/femc/ca --name night-drives")]
     Init {
-        /// Name for people, in every certificate
+        /// Name of the authority for people, in every certificate
         #[arg(long, default_value = "farm")]
         name: String,
         #[command(flatten)]
@@ -49,17 +50,17 @@ enum Action {
         femc ca issue worker node-7\n  \
         femc ca issue user ann --role submitter --days 90")]
     Issue(IssueArgs),
-    /// Make a token, for who cannot have an identity
+    /// Issue a token, for clients that cannot have an identity
     ///
-    /// Make a token, for who cannot have an identity. The file with it is all that its owner needs; the authority keeps the
-    /// token's digest and not the token, in the file `tokens` of its folder, which coordinators read (--token-file): a line
-    /// with name, role, digest and end. Whoever copies a token can use it until then, or until its line is removed, which
-    /// `femc ca revoke` does.
+    /// Issue a token, for clients that cannot have an identity. Its owner needs only the token file. The authority does not keep
+    /// the token itself, only its digest, in the file `tokens` of its folder, which coordinators read (--token-file): one line with
+    /// name, role, digest and end. Everybody who copies a token can use it until it expires, or until its line is removed with
+    /// `femc ca revoke`.
     #[command(after_help = "Examples:\n  \
         femc ca token user build --role submitter --days 30 -o build.token\n  \
         femc ca token worker node-7")]
     Token(TokenArgs),
-    /// List what was issued
+    /// List issued identities and tokens
     #[command(
         after_help = "Examples:\n  femc ca list\n  femc ca list --json | jq '.[] | select(.revoked | not) | .name'"
     )]
@@ -72,8 +73,8 @@ enum Action {
     /// Write the authority's certificate alone, for browsers and other programs
     ///
     /// Write the authority's certificate alone, for browsers and other programs. Browsers warn of a coordinator with --identity,
-    /// because they do not know the farm's authority. They stop after this file was imported as the certificate of an authority.
-    /// The file contains no key and is no secret. Compare its SHA-256 fingerprint before you import it.
+    /// because they do not know the farm's authority. The warning ends when this file has been imported as the certificate of an
+    /// authority. The file contains no key and is not secret. Compare its SHA-256 fingerprint before you import it.
     #[command(after_help = "Examples:\n  \
         femc ca export -o farm.crt\n  \
         openssl x509 -in farm.crt -noout -fingerprint -sha256    # the same fingerprint, elsewhere")]
@@ -84,10 +85,10 @@ enum Action {
         #[command(flatten)]
         folder: FolderArgs,
     },
-    /// Let whoever shows an identity of this name in no more
+    /// Revoke the identities and tokens of this name
     #[command(after_help = "Examples:\n  femc ca revoke node-7")]
     Revoke {
-        /// As it was issued
+        /// Name, as issued
         name: String,
         #[command(flatten)]
         folder: FolderArgs,
@@ -96,28 +97,28 @@ enum Action {
 
 #[derive(Debug, Args)]
 struct FolderArgs {
-    /// The authority's folder
+    /// Folder of the authority
     #[arg(long = "dir", value_name = "DIR", default_value = "femc-ca")]
     folder: PathBuf,
 }
 
 #[derive(Debug, Args)]
 struct IssueArgs {
-    /// Whom it is for
+    /// Kind of holder
     kind: Kind,
-    /// Its name: letters, digits, and . _ -
+    /// Name of the holder: letters, digits, and . _ -
     name: String,
-    /// What a user may do: viewer sees; submitter submits, and steers jobs of its own; operator steers every job and drains
-    /// workers; admin removes garbage
+    /// Role of a user. viewer: sees everything; submitter: submits jobs and controls its own; operator: controls every job and
+    /// drains workers; admin: removes garbage
     #[arg(long, value_name = "ROLE", required_if_eq("kind", "user"))]
     role: Option<Role>,
-    /// For a coordinator: a name or address at which tools other than femc reach it; may be given again
+    /// For a coordinator: a name or address at which tools other than femc reach it; repeatable
     #[arg(long, value_name = "HOST")]
     host: Vec<String>,
-    /// How long it holds
+    /// Validity in days
     #[arg(long, value_name = "DAYS", default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=3650))]
     days: u32,
-    /// Where to write it [default: NAME.pem]
+    /// File to write [default: NAME.pem]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -126,24 +127,24 @@ struct IssueArgs {
 
 #[derive(Debug, Args)]
 struct TokenArgs {
-    /// Whom it is for
+    /// Kind of holder
     kind: Bearer,
-    /// Its name: letters, digits, and . _ -
+    /// Name of the holder: letters, digits, and . _ -
     name: String,
-    /// What a user may do, as with `femc ca issue`
+    /// Role of a user, as with `femc ca issue`
     #[arg(long, value_name = "ROLE", required_if_eq("kind", "user"))]
     role: Option<Role>,
-    /// How long it holds
+    /// Validity in days
     #[arg(long, value_name = "DAYS", default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..=3650))]
     days: u32,
-    /// Where to write it [default: NAME.token]
+    /// File to write [default: NAME.token]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
     folder: FolderArgs,
 }
 
-/// Who may have a token.
+/// Kinds of token holders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Bearer {
     Worker,
@@ -157,7 +158,7 @@ enum Kind {
     User,
 }
 
-/// Do it.
+/// Runs `femc ca`.
 pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
     match args.action {
         Action::Init { name, folder } => {
@@ -198,7 +199,7 @@ fn not_there(folder: &Path, error: &TrustError) -> Failure {
     }
 }
 
-/// Writes the authority's certificate, and says how to check it.
+/// Writes the authority's certificate, and prints how to check it.
 fn export(output: &Path, folder: &Path, say: Say) -> Result<(), Failure> {
     let path = free(Some(output.into()), String::new())?;
     let certificate = Authority::certificate(folder).map_err(|error| not_there(folder, &error))?;
@@ -248,7 +249,7 @@ fn holder(kind: Kind, name: String, role: Option<Role>) -> Result<Holder, Failur
     }
 }
 
-/// Where to write, if nothing is there.
+/// Returns the path to write to. Fails if it exists.
 fn free(output: Option<PathBuf>, or: String) -> Result<PathBuf, Failure> {
     let path = output.unwrap_or_else(|| or.into());
     if path.exists() {
@@ -264,7 +265,7 @@ struct Line {
     holder: String,
     /// Digest of the certificate or token.
     fingerprint: String,
-    /// Seconds since 1970; none: it holds for ever.
+    /// End of validity in seconds since 1970; `None`: never.
     until: Option<i64>,
     days_left: Option<i64>,
     revoked: bool,
@@ -319,7 +320,7 @@ fn row(line: &Line) -> Vec<String> {
     ]
 }
 
-/// What an authority said, as this program's failure.
+/// Converts an error of the authority into a failure of this program.
 pub fn map_trust_error(error: &TrustError) -> Failure {
     match error {
         TrustError::Name { .. } => usage(error),

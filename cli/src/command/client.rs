@@ -1,4 +1,4 @@
-//! Talking to a coordinator: this process's own, or one at `--server`.
+//! Connection to a coordinator: the one of this process, or one at `--server`.
 
 use crate::args::ServerArgs;
 use crate::clock::Clock;
@@ -12,43 +12,43 @@ use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, F
 use femc_worker::Parcel;
 use std::time::Duration;
 
-/// How long is waited for a coordinator that has gone away to come back.
+/// Time that a call waits for a coordinator that has gone away.
 pub const PATIENCE: Duration = Duration::from_secs(60);
-/// How long, where there are several, one of them may take to lead: a leader that froze is waited for `--silence`.
+/// Time that one of several coordinators may take to become the leader. A leader that froze is replaced only after `--silence`.
 const TAKE_OVER: Duration = Duration::from_secs(10);
-/// How often a scene is uploaded again that the store has lost meanwhile.
+/// Number of repeated uploads of a scene that the store has lost meanwhile.
 const UPLOADS: usize = 2;
-/// Between two tries.
+/// Pause between two attempts.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// A connection to a coordinator, its faults told as this program's.
+/// A connection to a coordinator. Its errors are converted into failures of this program.
 #[derive(Clone, Debug)]
 pub struct Farm {
     client: Client,
 }
 
-/// How client commands say where the coordinator is.
+/// Options of client commands that set the coordinator's address.
 pub const SERVER: &str = "--server or FEMC_SERVER";
 
-/// No coordinator was met.
+/// A failed connection to a coordinator.
 #[derive(Debug)]
 pub struct Unmet {
-    /// Why, where, and what to do.
+    /// Reason, address and advice.
     pub failure: Failure,
-    /// Whether one may still come.
+    /// Whether a coordinator may still start there.
     pub may_come: MayCome,
 }
 
-/// Whether waiting helps.
+/// Whether waiting may help.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MayCome {
-    /// Nobody is there, or nobody who says anything yet: a coordinator may be about to start.
+    /// Nothing answers there yet: a coordinator may be about to start.
     Yes,
-    /// Somebody is, and it will not do.
+    /// Something answers, and it cannot be used.
     No,
 }
 
-/// Run `work` with the coordinator at `--server`.
+/// Runs `work` with the coordinator at `--server`.
 pub fn block_on<T>(server: &ServerArgs, work: impl AsyncFnOnce(&Farm) -> Result<T, Failure>) -> Result<T, Failure> {
     runtime()?.block_on(async {
         let dial = server.identity.dial()?;
@@ -57,7 +57,7 @@ pub fn block_on<T>(server: &ServerArgs, work: impl AsyncFnOnce(&Farm) -> Result<
     })
 }
 
-/// A runtime for talking: rendering has threads of its own.
+/// Creates a runtime for network calls. Rendering has threads of its own.
 pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -67,9 +67,9 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 }
 
 impl Farm {
-    /// Connect, and hear that it is a coordinator that answers. Where there are several addresses, another one may be about to
-    /// take over.
-    /// - `option`: where the address comes from.
+    /// Connects, and checks that a coordinator answers. If there are several addresses, it waits for another coordinator to take
+    /// over.
+    /// - `option`: option that the address comes from.
     pub async fn connect(dial: &Dial, url: &str, option: &str) -> Result<Self, Unmet> {
         let begun = Clock.now();
         loop {
@@ -83,31 +83,32 @@ impl Farm {
         }
     }
 
-    /// A connection by itself says little: it is there before the first word from the other end.
+    /// Connects and makes a first call: a connection alone does not show that the other end answers.
     async fn introduced(dial: &Dial, url: &str) -> Result<Client, CallError> {
         let client = Client::connect_by(dial, url).await?;
         client.missing(&[]).await?;
         Ok(client)
     }
 
-    /// The coordinator's address.
+    /// Returns the coordinator's address.
     pub fn url(&self) -> &str {
         self.client.url()
     }
 
-    /// Put those artifacts of a scene into the farm's store that are not there; bytes that were sent.
+    /// Uploads the artifacts of a scene that the farm's store lacks. Returns the number of bytes sent.
     async fn put(&self, scene: &Parcel) -> Result<u64, Failure> {
         self.client.put_all(&scene.artifacts()).await.map_err(map_call_error)
     }
 
-    /// Queue a job of `scene`, which is uploaded as far as it is missing; the bytes that were sent. `key`: a second
-    /// submission with the same key is the same job, so it is repeated when the coordinator goes away before it answers.
+    /// Queues a job of `scene`, after uploading the missing part of the scene. Returns the job and the number of bytes sent. `key`:
+    /// a second submission with the same key is the same job, so the call is repeated if the coordinator goes away before it
+    /// answers.
     pub async fn submit(&self, scene: &Parcel, key: Digest, spec: JobSpec) -> Result<(JobId, u64), Failure> {
         let mut sent = self.put(scene).await?;
         let submit = || patiently(|| self.client.submit(Some(key.to_string()), spec.clone()));
         for _ in 0..UPLOADS {
             match submit().await {
-                // Removed between upload and submission.
+                // The artifacts were removed between upload and submission.
                 Err(CallError::Refused(Refusal::MissingArtifacts { .. })) => sent += self.put(scene).await?,
                 submitted => return Ok((submitted.map_err(map_call_error)?, sent)),
             }
@@ -115,12 +116,12 @@ impl Farm {
         Ok((submit().await.map_err(map_call_error)?, sent))
     }
 
-    /// An artifact's bytes.
+    /// Returns an artifact's bytes.
     pub async fn get(&self, artifact: &Artifact) -> Result<Vec<u8>, Failure> {
         Ok(self.client.get_exactly(artifact).await.map_err(map_call_error)?.to_vec())
     }
 
-    /// The same of one that may be gone, or damaged, which is as good as gone.
+    /// Returns an artifact's bytes, or `None` if the artifact is gone or damaged.
     pub async fn get_if_there(&self, artifact: &Artifact) -> Result<Option<Vec<u8>>, Failure> {
         match self.client.get_exactly(artifact).await {
             Ok(bytes) => Ok(Some(bytes.to_vec())),
@@ -129,60 +130,60 @@ impl Farm {
         }
     }
 
-    /// All jobs.
+    /// Returns all jobs.
     pub async fn jobs(&self) -> Result<Vec<JobStatus>, Failure> {
         self.client.list().await.map_err(map_call_error)
     }
 
-    /// All jobs, and what somebody should look after.
+    /// Returns all jobs, and what needs attention.
     pub async fn listing(&self) -> Result<Listing, Failure> {
         self.client.listing().await.map_err(map_call_error)
     }
 
-    /// All jobs, of a coordinator that may be away for a while.
+    /// Returns all jobs. Waits for a coordinator that is away for a while.
     pub async fn patient_jobs(&self) -> Result<Vec<JobStatus>, Failure> {
         patiently(|| self.client.list()).await.map_err(map_call_error)
     }
 
-    /// One job.
+    /// Returns the status of one job.
     pub async fn status(&self, job: JobId) -> Result<JobStatus, Failure> {
         self.client.status(job).await.map_err(map_call_error)
     }
 
-    /// One job, of a coordinator that may be away for a while.
+    /// Returns the status of one job. Waits for a coordinator that is away for a while.
     pub async fn patient_status(&self, job: JobId) -> Result<JobStatus, Failure> {
         self.status_unless_away(job, |_| {}).await
     }
 
-    /// The same; `away` hears again and again for how long the coordinator has been away.
+    /// Like [`Self::patient_status`], but calls `away` repeatedly with the time that the coordinator has been away.
     pub async fn status_unless_away(&self, job: JobId, away: impl FnMut(Duration)) -> Result<JobStatus, Failure> {
         patiently_telling(|| self.client.status(job), away).await.map_err(map_call_error)
     }
 
-    /// The finished frames of a job, ascending, without what is finished of the job as a whole.
+    /// Returns the finished frames of a job, ascending, without the outputs of the job as a whole.
     pub async fn frames(&self, job: JobId) -> Result<Vec<FrameRecord>, Failure> {
         let mut frames = self.client.frames(job).await.map_err(map_call_error)?;
         frames.retain(|record| record.frame != Stage::OF_JOB);
         Ok(frames)
     }
 
-    /// The finished frames of a job, ascending, with the times of their attempts, where the coordinator knows them.
+    /// Returns the finished frames of a job, ascending, with the times of their attempts if the coordinator knows them.
     pub async fn frames_with_times(&self, job: JobId) -> Result<Vec<FrameRecord>, Failure> {
         self.client.frames_with_times(job).await.map_err(map_call_error)
     }
 
-    /// A job as it was submitted.
+    /// Returns a job as it was submitted.
     pub async fn spec(&self, job: JobId) -> Result<JobSpec, Failure> {
         self.client.spec(job).await.map_err(map_call_error)
     }
 
-    /// What is finished of a job as a whole; `None`: nothing is, yet.
+    /// Returns the finished outputs of a job as a whole; `None`: none yet.
     pub async fn whole(&self, job: JobId) -> Result<Option<FrameRecord>, Failure> {
         let records = self.client.frames(job).await.map_err(map_call_error)?;
         Ok(records.into_iter().find(|record| record.frame == Stage::OF_JOB))
     }
 
-    /// The image of a finished frame, or `None`, where it is damaged or gone.
+    /// Returns the image of a finished frame, or `None` if it is damaged or gone.
     pub async fn image(&self, frame: &FrameRecord) -> Result<Option<Vec<u8>>, Failure> {
         match frame.image() {
             Some(image) => self.get_if_there(&image).await,
@@ -190,44 +191,44 @@ impl Farm {
         }
     }
 
-    /// What there is of a job's frames in work, ascending.
+    /// Returns the finished parts of a job's frames in progress, ascending.
     pub async fn parts(&self, job: JobId) -> Result<Vec<FrameParts>, Failure> {
         let mut frames = self.client.parts(job).await.map_err(map_call_error)?;
         frames.retain(|parts| parts.frame != Stage::OF_JOB);
         Ok(frames)
     }
 
-    /// Steer a job.
+    /// Applies a control command to a job.
     pub async fn control(&self, job: JobId, control: Control) -> Result<(), Failure> {
         self.client.control(job, control).await.map_err(map_call_error)
     }
 
-    /// What workers wrote down while they did the job's tasks, oldest first, of attempts reported since then.
+    /// Returns the log records of a job's tasks, oldest first, of attempts reported since `since`.
     pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Failure> {
         self.client.logs(job, since).await.map_err(map_call_error)
     }
 
-    /// What a job is made of, and what the attempts at its tasks took.
+    /// Returns the shape of a job, and the usage of its attempts.
     pub async fn attempts(&self, job: JobId) -> Result<(JobShape, Attempts), Failure> {
         self.client.attempts(job).await.map_err(map_call_error)
     }
 
-    /// Give workers no more tasks, or tasks again; the sessions that it was done to.
+    /// Drains workers, or ends the draining. Returns the sessions concerned.
     pub async fn drain(&self, worker: WorkerName, drain: Drain) -> Result<Vec<WorkerId>, Failure> {
         self.client.drain(worker, drain).await.map_err(map_call_error)
     }
 
-    /// Usage of the farm, by month and owner.
+    /// Returns the usage of the farm, by month and owner.
     pub async fn usage(&self) -> Result<Vec<OwnerUsage>, Failure> {
         self.client.usage().await.map_err(map_call_error)
     }
 
-    /// The workers that are there, and those that were.
+    /// Returns the current and the former workers.
     pub async fn crew(&self) -> Result<Crew, Failure> {
         self.client.crew().await.map_err(map_call_error)
     }
 
-    /// A copy of the log; the artifacts that it refers to and the store has.
+    /// Copies the log into a file. Returns the artifacts that the log refers to and that the store has.
     pub async fn backup(&self, log: &mut tokio::fs::File) -> Result<Vec<Artifact>, Failure> {
         self.client.backup(log).await.map_err(|error| match error {
             BackupError::Call(error) => map_call_error(error),
@@ -235,18 +236,18 @@ impl Farm {
         })
     }
 
-    /// Remove garbage from the store, or say what that would be.
+    /// Removes garbage from the store, or only reports it.
     pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, Failure> {
         self.client.collect(mode, grace).await.map_err(map_call_error)
     }
 }
 
-/// Call again while the coordinator is away.
+/// Repeats a call while the coordinator is away.
 async fn patiently<T>(call: impl AsyncFn() -> Result<T, CallError>) -> Result<T, CallError> {
     patiently_telling(call, |_| {}).await
 }
 
-/// The same; `away` hears for how long it has been away.
+/// Like [`patiently`], but calls `away` with the time that the coordinator has been away.
 async fn patiently_telling<T>(
     call: impl AsyncFn() -> Result<T, CallError>,
     mut away: impl FnMut(Duration),
@@ -269,7 +270,7 @@ async fn patiently_telling<T>(
     }
 }
 
-/// A failed first call: looks who is there instead.
+/// Converts a failed first call. Looks at the address to find out what answers there.
 async fn unmet(error: CallError, option: &str) -> Unmet {
     let CallError::Unreachable { ref url, why: Why::Away, .. } = error else {
         let may_come = match &error {
@@ -320,7 +321,7 @@ async fn unmet(error: CallError, option: &str) -> Unmet {
     Unmet { failure: unreachable(message), may_come }
 }
 
-/// A failed call as this program's failure.
+/// Converts a failed call into a failure of this program.
 pub fn map_call_error(error: CallError) -> Failure {
     match error {
         CallError::Address { .. } => usage(format!("{error}; write it like http://127.0.0.1:7878")),
@@ -337,7 +338,7 @@ pub fn map_call_error(error: CallError) -> Failure {
             "{error}; it does not take this identity: another farm's authority has issued it, or its time is over; \
              give one that this farm has issued (`femc ca issue`)"
         )),
-        // Whom it met is not asked a second time.
+        // A coordinator answered here before, so the address is not examined again.
         CallError::Unreachable { why: Why::Away, .. } => {
             unreachable(format!("{error}; it answered before: try again when it is back"))
         }
@@ -365,7 +366,7 @@ pub fn map_call_error(error: CallError) -> Failure {
     }
 }
 
-/// A job of `frames` as the farm knows it.
+/// Returns the farm's specification of a job of `frames`.
 pub fn job_spec(asked: &Asked, scene: &Parcel, frames: Vec<u32>) -> Result<JobSpec, Failure> {
     Ok(JobSpec {
         name: asked.name(),
@@ -383,7 +384,7 @@ pub fn job_spec(asked: &Asked, scene: &Parcel, frames: Vec<u32>) -> Result<JobSp
     })
 }
 
-/// What the frames' first passes depend on, in runs of frames that share one; nothing where the method has none.
+/// Returns the keys of the frames' first passes, in runs of frames that share one; empty if the method has no first pass.
 pub fn contents(asked: &Asked, frames: &[u32]) -> Result<Vec<(u32, Digest)>, Failure> {
     if !asked.plan.method.has_first_pass() {
         return Ok(Vec::new());
@@ -401,10 +402,10 @@ pub fn contents(asked: &Asked, frames: &[u32]) -> Result<Vec<(u32, Digest)>, Fai
     Ok(runs)
 }
 
-/// Priority of a job that asks for none.
+/// Priority of a job without an explicit one.
 pub const DEFAULT_PRIORITY: u8 = 50;
 
-/// The user's login name.
+/// Returns the user's login name.
 fn user() -> String {
     ["USER", "LOGNAME", "USERNAME"].iter().find_map(|name| std::env::var(name).ok()).unwrap_or_else(|| "nobody".into())
 }

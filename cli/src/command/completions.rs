@@ -5,7 +5,7 @@ use clap::Command;
 use clap_complete::Shell;
 use std::io::{self, Write};
 
-/// Print the script.
+/// Prints the script.
 /// - `command`: the whole command line.
 pub fn run(shell: Shell, mut command: Command) -> Result<Exit, Failure> {
     let mut script = Vec::new();

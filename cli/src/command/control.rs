@@ -1,4 +1,4 @@
-//! `femc pause|resume|cancel|retry|delete JOB..` and `femc priority JOB N`: steer jobs.
+//! `femc pause|resume|cancel|retry|delete JOB..` and `femc priority JOB N`: control jobs.
 
 use super::client::{self, Farm};
 use crate::args::{SelectArgs, ServerArgs};
@@ -11,7 +11,7 @@ use femc_model::{Control, JobId, JobState, JobStatus, Wait};
 /// Jobs and their farm.
 #[derive(Debug, Args)]
 pub struct JobsArgs {
-    /// The jobs' numbers, as `submit` printed them
+    /// Job numbers, as printed by `submit`
     #[arg(value_name = "JOB", required_unless_present_any = ["owner", "name", "labels"], conflicts_with_all = ["owner", "name", "labels"])]
     jobs: Vec<u64>,
     #[command(flatten)]
@@ -20,12 +20,12 @@ pub struct JobsArgs {
     server: ServerArgs,
 }
 
-/// Jobs, their farm, and frames of theirs.
+/// Jobs, their farm, and some of their frames.
 #[derive(Debug, Args)]
 pub struct RetryArgs {
     #[command(flatten)]
     jobs: JobsArgs,
-    /// Only these frames: K, A..B or A..B+STEP, with commas between several; a pause stays
+    /// Only these frames: K, A..B or A..B+STEP, with commas between several; a paused job stays paused
     #[arg(long, value_name = "FRAMES", conflicts_with_all = ["owner", "name", "labels"])]
     frames: Option<Frames>,
 }
@@ -34,22 +34,22 @@ pub struct RetryArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  femc priority 7 90")]
 pub struct PriorityArgs {
-    /// The job's number, as `submit` printed it
+    /// Job number, as printed by `submit`
     #[arg(value_name = "JOB")]
     job: u64,
-    /// 0 to 100, greater goes first
+    /// 0 to 100, greater first
     #[arg(value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
     priority: u8,
     #[command(flatten)]
     server: ServerArgs,
 }
 
-/// Do `control` to the jobs: to each, whatever becomes of the others.
+/// Applies `control` to each job, even if it fails for others.
 pub fn run(args: &JobsArgs, control: &Control, say: Say) -> Result<Exit, Failure> {
     do_to(args, control, None, say)
 }
 
-/// Try again what failed, of all frames or of some.
+/// Retries failed tasks, of all frames or of some.
 pub fn retry(args: &RetryArgs, say: Say) -> Result<Exit, Failure> {
     do_to(&args.jobs, &Control::Retry, args.frames.as_ref(), say)
 }
@@ -67,7 +67,7 @@ fn do_to(args: &JobsArgs, control: &Control, frames: Option<&Frames>, say: Say) 
     })
 }
 
-/// The numbers of the frames, if all of them are the job's.
+/// Returns the numbers of the frames. Fails if one of them does not belong to the job.
 async fn named(farm: &Farm, job: JobId, frames: &Frames) -> Result<Vec<u32>, Failure> {
     let there = farm.spec(job).await?.frames;
     frames.among(&there).map_err(|frame| {
@@ -77,13 +77,13 @@ async fn named(farm: &Farm, job: JobId, frames: &Frames) -> Result<Vec<u32>, Fai
     })
 }
 
-/// Change the priority.
+/// Changes the priority.
 pub fn prioritize(args: &PriorityArgs, say: Say) -> Result<Exit, Failure> {
     let control = Control::Priority(args.priority);
     client::block_on(&args.server, async |farm| steer(farm, &[args.job], &control, None, say).await)
 }
 
-/// The jobs that are meant and to which this can be done.
+/// Returns the selected jobs to which `control` can be applied.
 async fn selected(select: &SelectArgs, control: &Control, farm: &Farm) -> Result<Vec<u64>, Failure> {
     let can = |job: &JobStatus| match control {
         Control::Retry | Control::RetryFrames(_) => {
@@ -97,7 +97,8 @@ async fn selected(select: &SelectArgs, control: &Control, farm: &Farm) -> Result
     Ok(jobs.iter().filter(|job| select.holds(job) && can(job)).map(|job| job.job.0).collect())
 }
 
-/// - `frames`: those to which a retry is limited; `None`: all.
+/// Applies `control` to the jobs.
+/// - `frames`: frames to which a retry is limited; `None`: all.
 async fn steer(
     farm: &Farm,
     jobs: &[u64],
@@ -136,12 +137,12 @@ async fn steer(
     Err(last)
 }
 
-/// What a retry found to be done again.
+/// Returns lines about lost images that a retry renders again.
 async fn lost_images(farm: &Farm, job: u64, control: &Control) -> Vec<String> {
     if *control != Control::Retry {
         return Vec::new();
     }
-    // It is done, whether or not the farm still says what for.
+    // The retry is done, even if the farm no longer answers.
     let Ok(status) = farm.status(JobId(job)).await else { return Vec::new() };
     let lost = status.waits.iter().filter(|wait| matches!(wait, Wait::ImageLost { .. }));
     lost.map(|wait| show::wait(&status, wait)).collect()

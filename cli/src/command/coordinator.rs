@@ -1,4 +1,4 @@
-//! `femc coordinator`: the farm's server.
+//! `femc coordinator`: runs the farm's coordinator.
 
 use super::client::runtime;
 use super::interrupt::Interrupt;
@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::time::Duration;
 
-/// Run the farm's server, until it is stopped
+/// Run the farm's coordinator
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc coordinator\n  \
@@ -41,70 +41,69 @@ pub struct CoordinatorArgs {
     /// Address and port to listen on
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7878")]
     listen: SocketAddr,
-    /// The log of jobs: sqlite:PATH, postgres://USER@HOST:PORT/DATABASE, or memory (lost at the end)
+    /// Log of jobs: sqlite:PATH, postgres://USER@HOST:PORT/DATABASE, or memory (lost at the end)
     #[arg(long, value_name = "STORE", default_value = "sqlite:femc-farm/farm.db", value_parser = store)]
     store: Log,
-    /// With postgres://: a leader that gives no sign of life for so long is taken for dead; the same for all coordinators of a
-    /// farm
+    /// With postgres://: a leader without a sign of life for longer than this is replaced; must be the same for all coordinators of
+    /// a farm
     #[arg(long, value_name = "DURATION", default_value = "3s", value_parser = silence)]
     silence: Duration,
-    /// A worker that is silent for so long loses its tasks to others, 1s to 10m; longer on networks that falter
+    /// A worker that is silent for longer than this loses its leases, 1s to 10m; choose more for unreliable networks
     #[arg(long, value_name = "DURATION", default_value = "4.5s", value_parser = lease)]
     lease: Duration,
-    /// Changes after which the log is written anew, shorter: with fewer a restart is quicker, with more the log is written less
+    /// Compact the log after this many records: fewer make restarts faster, more save disk writes
     #[arg(long, value_name = "N", default_value = "20000", value_parser = clap::value_parser!(u32).range(1..))]
     compact: u32,
-    /// Jobs that ended so long ago are forgotten, 1m or more, like 30d: then nobody can fetch them, and `femc gc` frees what they
-    /// alone had in the store (without it they are kept for ever)
+    /// Expire jobs this long after their end, 1m or more, like 30d: then they cannot be fetched, and `femc gc` frees their
+    /// artifacts (without it they are kept forever)
     #[arg(long, value_name = "DURATION", value_parser = keep_ended)]
     keep_ended: Option<Duration>,
-    /// What frames and jobs share is kept for jobs to come, the latest of it, within so much of the store; what a job waits for is
-    /// kept in any case
+    /// Size limit of the shared-result cache: the latest results are kept for later jobs; results that a job waits for are always
+    /// kept
     #[arg(long, value_name = "SIZE", default_value = "16GiB")]
     keep_shared: Volume,
-    /// Where scenes, tiles and images are kept: a folder, s3://BUCKET/PREFIX (keys, region and endpoint are read from
-    /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several
-    /// coordinators share one
+    /// Store of scenes, tiles and images: a folder, s3://BUCKET/PREFIX (keys, region and endpoint come from AWS_ACCESS_KEY_ID,
+    /// AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several coordinators
+    /// share one
     #[arg(long, value_name = "DIR|URL", default_value = "femc-farm/artifacts", value_parser = artifacts)]
     artifacts: Artifacts,
-    /// On the disks of the log and of the artifacts so much stays free, like 256MiB: with less, no new jobs are taken, while those
-    /// that are there go on; with less than four times as much it is told
+    /// Free space to keep on the disks of the log and of the artifacts, like 256MiB: below it, no new jobs are accepted and running
+    /// jobs continue; below four times this size the coordinator warns
     #[arg(long, value_name = "SIZE", default_value = "256MiB")]
     keep_free: Volume,
-    /// Go on with a log that has lost what was acknowledged, with what is left of it; such a log is not opened otherwise. A copy
-    /// (`femc backup`) may have more: look there first
+    /// Open a log that has lost acknowledged records, and continue with the rest; such a log is not opened otherwise. A backup
+    /// (`femc backup`) may have more: check it first
     #[arg(long)]
     accept_loss: bool,
-    /// Weight of an owner's jobs in the fair share of the workers' time, among jobs of one priority; may be given again
-    /// (without it everybody has 1)
+    /// Weight of an owner in the fair share of worker time among jobs of equal priority; repeatable (default weight: 1)
     #[arg(long, value_name = "OWNER=WEIGHT", value_parser = share)]
     share: Vec<(String, u32)>,
-    /// File that says that this is the farm's coordinator (`femc ca issue coordinator NAME`): connections are encrypted, and
-    /// only those who show an identity of the same authority are let in
+    /// Identity of this coordinator (`femc ca issue coordinator NAME`): connections are encrypted, and only clients with an
+    /// identity of the same authority are accepted
     #[arg(long, env = "FEMC_IDENTITY", value_name = "FILE", conflicts_with = "insecure")]
     identity: Option<PathBuf>,
-    /// List of identities that are let in no more, the file `revoked` in the authority's folder; read again when it changes
+    /// List of revoked identities, the file `revoked` in the authority's folder; read again when it changes
     #[arg(long, value_name = "FILE", requires = "identity")]
     revoked: Option<PathBuf>,
-    /// List of those who may come with a token, the file `tokens` in the authority's folder (`femc ca token`); read again when
-    /// it changes: whose line is removed is let in no more. Without --identity everybody needs a token, on this machine
+    /// List of valid tokens, the file `tokens` in the authority's folder (`femc ca token`); read again when it changes: a token
+    /// whose line is removed is refused. Without --identity all clients need a token, also on this machine
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// Where changes and refusals are noted, a line of JSON each [default: audit.jsonl beside the log's file]
+    /// Audit log of changes and refusals, one line of JSON each [default: audit.jsonl beside the log's file]
     #[arg(long, value_name = "FILE")]
     audit: Option<PathBuf>,
-    /// Jobs may name URLs that begin so, to which a message is posted when they have ended (`femc submit --notify`); may be given
-    /// again. Without it no job may: who submits must not reach this machine's network
+    /// Allow jobs to name URLs that begin with this prefix, to which a message is posted when they have ended
+    /// (`femc submit --notify`); repeatable. Without it none is allowed, so that users cannot reach this machine's network
     #[arg(long, value_name = "PREFIX", requires = "notify_key")]
     notify_allow: Vec<UrlPrefix>,
-    /// File with the key by which these messages are signed (Standard Webhooks): 16 bytes or more, or whsec_ and their base64
+    /// File with the key that signs these messages (Standard Webhooks): 16 bytes or more, or whsec_ and their base64
     #[arg(long, value_name = "FILE")]
     notify_key: Option<PathBuf>,
-    /// Command for the shell, run when a job has ended: the job is in FEMC_JOB, FEMC_NAME, FEMC_OWNER, FEMC_STATE, FEMC_FRAMES,
-    /// FEMC_FRAMES_DONE, and as JSON at its standard input
+    /// Shell command to run when a job has ended: the job is in FEMC_JOB, FEMC_NAME, FEMC_OWNER, FEMC_STATE, FEMC_FRAMES,
+    /// FEMC_FRAMES_DONE, and as JSON on standard input
     #[arg(long, value_name = "COMMAND")]
     on_end: Option<String>,
-    /// Listen, not encrypted, on an address that other machines can reach
+    /// Listen without encryption on an address that other machines can reach
     #[arg(long)]
     insecure: bool,
     #[command(flatten)]
@@ -133,14 +132,14 @@ fn lease(text: &str) -> Result<Duration, String> {
 
 fn keep_ended(text: &str) -> Result<Duration, String> {
     let Budget { seconds } = text.parse::<Budget>().map_err(|error| error.to_string())?;
-    // Whoever waits for the end shall still find the job there.
+    // Clients that wait for the end of a job must still find the job.
     if seconds < 60.0 {
         return Err("give 1m or more".to_owned());
     }
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }
 
-/// A duration from one second to `most`, which is the range called `range`.
+/// Parses a duration from one second to `most`; `range` describes this range in the error.
 fn within(text: &str, most: f64, range: &str) -> Result<Duration, String> {
     let Budget { seconds } = text.parse::<Budget>().map_err(|error| error.to_string())?;
     if (1.0..=most).contains(&seconds) { Ok(Duration::from_secs_f64(seconds)) } else { Err(format!("give {range}")) }
@@ -163,7 +162,7 @@ fn share(text: &str) -> Result<(String, u32), String> {
     if owner.is_empty() { Err(fault()) } else { Ok((owner.to_owned(), weight)) }
 }
 
-/// Serve.
+/// Runs `femc coordinator`.
 pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     if let Log::Sqlite(path) = &args.store
         && let Some(folder) = path.parent().filter(|folder| *folder != Path::new(""))
@@ -240,7 +239,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     })
 }
 
-/// Says how the coordinator is.
+/// Returns a function that reports the coordinator's metrics.
 fn reporter(
     counted: Metrics,
     coordinator: &Handle,
@@ -268,7 +267,7 @@ fn entrance(
     Ok((!is_open).then_some(Entrance { identity, revoked, tokens }))
 }
 
-/// The identity in a file, if it is a coordinator's.
+/// Reads an identity file. Fails if the identity is not a coordinator's.
 fn own(path: &Path) -> Result<Identity, Failure> {
     let identity = crate::args::identity(path)?;
     if !matches!(identity.holder(), Holder::Coordinator { .. }) {
@@ -278,7 +277,7 @@ fn own(path: &Path) -> Result<Identity, Failure> {
     Ok(identity)
 }
 
-/// The record: where it was asked for, or beside a log that is a file.
+/// Opens the audit log at the requested path, or beside the log of jobs if that is a file.
 fn audit(asked: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
     let beside = match log {
         Log::Sqlite(path) => Some(path.with_file_name("audit.jsonl")),
@@ -288,7 +287,7 @@ fn audit(asked: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
     audit.map_err(|error| failed(format!("--audit: {error}; give a file that can be written")))
 }
 
-/// The warning that browsers show at a coordinator with this identity, and its remedy.
+/// Returns a note about the warning of browsers at a coordinator with this identity, and its remedy.
 fn browser_warning(identity: &Identity) -> Option<String> {
     let fingerprint = browser_fingerprint(identity.authority()).ok()?;
     Some(format!(

@@ -1,4 +1,4 @@
-//! `femc drain WORKER`: a worker gets no more tasks.
+//! `femc drain WORKER`: stops giving tasks to a worker.
 
 use super::client;
 use crate::args::ServerArgs;
@@ -7,7 +7,7 @@ use crate::output::Say;
 use clap::Args;
 use femc_model::{Drain, WorkerId, WorkerName};
 
-/// Give a worker no more tasks; it finishes what it has and stays
+/// Give a worker no more tasks; it finishes its current tasks and stays connected
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc drain 3\n  \
@@ -16,7 +16,7 @@ use femc_model::{Drain, WorkerId, WorkerName};
     A drain lasts as long as the worker's process, also when it loses its coordinator or the coordinator starts again. \
     `femc workers` shows who drains and what is still being done there.")]
 pub struct DrainArgs {
-    /// The worker's number or name, as `femc workers` shows it
+    /// Worker number or name, as shown by `femc workers`
     #[arg(value_name = "WORKER")]
     worker: String,
     /// Give it tasks again
@@ -26,7 +26,7 @@ pub struct DrainArgs {
     server: ServerArgs,
 }
 
-/// Drain.
+/// Runs `femc drain`.
 pub fn run(args: &DrainArgs, say: Say) -> Result<Exit, Failure> {
     let worker = match args.worker.parse() {
         Ok(number) => WorkerName::Number(WorkerId(number)),

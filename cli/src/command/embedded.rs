@@ -1,6 +1,5 @@
-//! A farm in this process: the coordinator and the workers of `femc coordinator` and `femc worker`, on a loopback port
-//! that the system chooses. What that costs is a copy of every result through a socket; what it buys is that there is no
-//! second way to render.
+//! A farm in this process: the coordinator and the workers of `femc coordinator` and `femc worker`, on a loopback port that the
+//! system chooses. It costs one copy of every result through a socket. In return there is only one way to render.
 
 use super::client::{self, Farm};
 use super::site::site;
@@ -14,14 +13,14 @@ use std::process::{Command, Stdio};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-/// What the farm is made of.
+/// Configuration of the farm.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// SQLite file of the log.
     pub log: PathBuf,
     /// Folder of the artifacts.
     pub artifacts: PathBuf,
-    /// Workers, >= 1.
+    /// Number of workers, >= 1.
     pub workers: u32,
     /// Threads of each worker; `None`: all cores.
     pub threads: Option<u32>,
@@ -35,19 +34,19 @@ pub struct Embedded {
 }
 
 impl Embedded {
-    /// Start it, and connect to it.
+    /// Starts the farm, and connects to it.
     pub async fn start(plan: Plan) -> Result<(Self, Farm), Failure> {
         let config = Config {
             log: Log::Sqlite(plan.log),
             artifacts: Artifacts::Folder(plan.artifacts),
             site: site(),
-            // Its workers end with it: there is nobody to wait for.
+            // The workers stop together with the coordinator, so there are none to wait for after a restart.
             scheduler: femc_schedule::Config { regroup: 0, ..femc_schedule::Config::default() },
             ..Config::default()
         };
         let coordinator = Coordinator::start(config).await.map_err(failed)?;
         let (stop, stopped) = watch::channel(());
-        // The store is on this disk anyway.
+        // No cache is needed: the store is on the same disk.
         let (mut workers, cache) = (JoinSet::new(), Cache::with(Pieces::memory(0)));
         for number in 1..=plan.workers {
             let config = femc_worker::Config {
@@ -58,7 +57,7 @@ impl Embedded {
             };
             let mut stopped = stopped.clone();
             workers.spawn(Worker::run(config, async move {
-                // Ends when the sender is dropped.
+                // Returns when the sender is dropped.
                 let _ = stopped.changed().await;
             }));
         }
@@ -67,7 +66,7 @@ impl Embedded {
         Ok((Self { coordinator, workers, stop }, client))
     }
 
-    /// Says where a browser shows it, and opens one where there is a desktop.
+    /// Prints the farm's address for browsers, and opens a browser if there is a desktop.
     pub fn show(&self, say: Say) {
         let page = format!("{}/", self.coordinator.url());
         if site().files.is_empty() {
@@ -82,14 +81,14 @@ impl Embedded {
         if has_desktop || cfg!(target_os = "macos") {
             let mut browser = Command::new(opener);
             browser.arg(&page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-            // It has its own life; the address is there in any case.
+            // The browser runs independently; the address is valid in any case.
             if let Err(error) = browser.spawn() {
                 tracing::debug!(%error, opener, "no browser was opened");
             }
         }
     }
 
-    /// Waits until a part of it ends by itself, which it does only when something is broken.
+    /// Waits until a part of the farm ends by itself, which happens only after an error.
     pub async fn broken(&mut self) -> Failure {
         tokio::select! {
             error = self.coordinator.failed() => failed(error),
@@ -101,7 +100,7 @@ impl Embedded {
         }
     }
 
-    /// End it: what runs is given back to the log, so that the next run goes on from there. Drop clients before.
+    /// Stops the farm. Unfinished tasks go back to the log, so that the next run resumes them. Drop clients before.
     pub async fn stop(mut self) {
         drop(self.stop);
         while let Some(worker) = self.workers.join_next().await {

@@ -1,4 +1,4 @@
-//! `femc fetch JOB -o DIR`: the finished frames of a job as files.
+//! `femc fetch JOB -o DIR`: writes the finished frames of a job as files.
 
 use super::client::{self, Farm};
 use super::lookout::Views;
@@ -14,7 +14,7 @@ use femc_worker::Wish;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Write the finished frames of a job into a folder, under the names that `render` gives them, and what the job makes of them all
+/// Write the finished frames of a job into a folder, with the same file names as `render`, and the job's clip, sheet and pictures
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc fetch 7 -o drive\n  \
@@ -24,16 +24,16 @@ use std::path::{Path, PathBuf};
     Files that are there already are not fetched again. A frame whose image the farm's store has damaged or lost is named; it is\n  \
     rendered again, in a job that has failed or was cancelled after `femc retry`. The exit code is 1 while frames are missing.")]
 pub struct FetchArgs {
-    /// The job's number, as `submit` printed it
+    /// Job number, as printed by `submit`
     #[arg(value_name = "JOB")]
     job: u64,
     /// Folder for the frames
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
-    /// Also what there is of the frames in work, as NAME.NNNN.partial.exr; what is not rendered yet is black
+    /// Also write unfinished frames, as NAME.NNNN.partial.exr, black where nothing is rendered yet
     #[arg(long)]
     partial: bool,
-    /// First wait until the job has ended, and show how far it is
+    /// First wait until the job has ended, and show its progress
     #[arg(long)]
     wait: bool,
     #[command(flatten)]
@@ -51,11 +51,11 @@ struct Report {
     partial: Vec<String>,
     #[serde(flatten)]
     shown: Shown,
-    /// Frames whose image was damaged or gone.
+    /// Frames whose image is damaged or gone.
     lost: Vec<u32>,
 }
 
-/// Files of what is made of all frames.
+/// Files that are made of all frames.
 #[derive(Clone, Debug, Default, Serialize)]
 struct Shown {
     /// PNG files beside the frames.
@@ -64,12 +64,12 @@ struct Shown {
     painted: Vec<String>,
     contact_sheet: Option<String>,
     video: Option<String>,
-    /// How many of these are not there.
+    /// Number of these files that could not be fetched.
     #[serde(skip)]
     missing: u64,
 }
 
-/// Fetch.
+/// Runs `femc fetch`.
 pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
     let (status, files, partial, shown, lost) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
@@ -91,7 +91,7 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
                 _ => lost.push(frame.frame),
             }
         }
-        // As it is now: a job that was done goes on.
+        // Read the status again: a finished job that has lost an image runs again.
         let status = if lost.is_empty() { status } else { farm.status(JobId(args.job)).await? };
         for &frame in &lost {
             let name = frame_name(&status.name, frame);
@@ -144,7 +144,7 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// How the job stands when it has ended.
+/// Waits until the job has ended and returns its status.
 async fn ended(args: &FetchArgs, farm: &Farm, say: Say) -> Result<JobStatus, Failure> {
     let again = format!("`femc fetch {} -o {} --wait` waits again", args.job, args.out.display());
     let no_pictures = |_| Views { drawn: false, file: None };
@@ -154,19 +154,19 @@ async fn ended(args: &FetchArgs, farm: &Farm, say: Say) -> Result<JobStatus, Fai
     Ok(status)
 }
 
-/// What becomes of a frame whose image is lost.
+/// Describes what happens to a frame whose image is lost.
 fn what_follows(status: &JobStatus) -> String {
     let job = status.job;
     match status.state {
         JobState::Queued | JobState::Running => "it is rendered again".to_owned(),
         JobState::Paused => format!("it is rendered again after `femc resume {job}`"),
         JobState::Failed | JobState::Cancelled => format!("it is rendered again after `femc retry {job}`"),
-        // Somebody has put the image there again meanwhile, or the harm was done on the way.
+        // Either the image was stored again meanwhile, or it was damaged on the way.
         JobState::Done => "the store has it now: fetch again".to_owned(),
     }
 }
 
-/// Write what is made of all frames, as far as it is there.
+/// Writes the outputs that are made of all frames, as far as they are finished.
 async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<Shown, Failure> {
     let spec = farm.spec(job.job).await?;
     let (wish, mut shown) = (Wish::of(&spec.graph), Shown::default());
@@ -182,7 +182,7 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
     }
     let made = farm.whole(job.job).await?.map(|record| record.outputs).unwrap_or_default();
     let of = |role: Role| made.iter().filter(move |output| output.role == role).map(|output| output.artifact);
-    // The farm lists stills in the order of frames, and painted pictures, too.
+    // The farm lists stills and painted pictures in the order of the frames.
     let (mut all_stills, mut all_painted) = (of(Role::Still), of(Role::Painted));
     for (role, name) in wanted {
         let path = folder.join(&name);
@@ -213,7 +213,7 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
     Ok(shown)
 }
 
-/// Write one artifact, unless the file has its bytes already; false: the farm does not have it as it should be.
+/// Writes one artifact, unless the file already has its bytes. Returns false if the artifact is damaged or gone.
 async fn file(farm: &Farm, artifact: &Artifact, path: &Path) -> Result<bool, Failure> {
     if !std::fs::read(path).is_ok_and(|bytes| Digest::of(&bytes) == artifact.digest) {
         let Some(bytes) = farm.get_if_there(artifact).await? else { return Ok(false) };

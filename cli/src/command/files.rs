@@ -1,6 +1,6 @@
-//! Open files: each connection is one, and what systems allow at first is often fewer than connections are.
+//! Limit of open files. Each connection is an open file, and the system's initial limit is often too low.
 
-/// Allows this process as many as the system lets it have.
+/// Raises this process's limit to the largest that the system allows.
 pub fn raise_limit() {
     #[cfg(unix)]
     {

@@ -1,4 +1,4 @@
-//! `femc gc`: remove from the farm's store what no job refers to.
+//! `femc gc`: removes unused artifacts from the farm's store.
 
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
@@ -10,20 +10,20 @@ use femc_proto::{CollectMode, Collected, Volume};
 use serde::Serialize;
 use std::time::Duration;
 
-/// Remove from the farm's store what no job refers to
+/// Remove unused artifacts from the farm's store
 ///
-/// Scenes, frames in work and finished frames of all jobs stay, also of jobs that have ended. What goes: uploads whose job was
-/// never submitted, and what a coordinator that was killed had no time to remove.
+/// Artifacts of all jobs stay: scenes, unfinished and finished frames, also of jobs that have ended. Removed are uploads whose job
+/// was never submitted, and leftovers of a coordinator that was killed.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc gc --dry-run\n  \
     femc gc --grace 24h\n  \
     femc gc --dry-run --json | jq '.garbage.bytes'")]
 pub struct GcArgs {
-    /// Remove nothing, say what would go
+    /// Remove nothing, only report what would be removed
     #[arg(long)]
     dry_run: bool,
-    /// What is younger stays: it may belong to a submission or a result under way; at least 60s
+    /// Keep artifacts younger than this, because they may belong to a running submission or upload; at least 60s
     #[arg(long, value_name = "DURATION", default_value = "1h")]
     grace: Budget,
     #[command(flatten)]
@@ -53,7 +53,7 @@ struct Report {
     names: Vec<String>,
 }
 
-/// Collect.
+/// Runs `femc gc`.
 pub fn run(args: &GcArgs, say: Say) -> Result<Exit, Failure> {
     let mode = if args.dry_run { CollectMode::DryRun } else { CollectMode::Remove };
     let grace = Duration::try_from_secs_f64(args.grace.seconds).unwrap_or(Duration::MAX);

@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM: the first asks for a graceful end, the second ends at once.
+//! Ctrl-C and SIGTERM: the first signal requests a graceful stop, the second ends the process at once.
 
 use crate::exit::{Exit, Failure, failed};
 use tokio::sync::watch;
@@ -10,13 +10,13 @@ pub struct Interrupt {
 }
 
 impl Interrupt {
-    /// Listen from now on. In a tokio runtime.
+    /// Starts listening for signals. Must be called in a tokio runtime.
     pub fn listen() -> Result<Self, Failure> {
         let (sender, stopped) = watch::channel(false);
         let mut signals = Signals::new().map_err(|e| failed(format!("signals cannot be listened to: {e}")))?;
         tokio::spawn(async move {
             signals.next().await;
-            // Nobody listens any more when the command is about to end.
+            // The receiver is gone if the command is about to end.
             let _ = sender.send(true);
             signals.next().await;
             std::process::exit(Exit::Interrupted as i32);
@@ -24,9 +24,9 @@ impl Interrupt {
         Ok(Self { stopped })
     }
 
-    /// Returns when the user has asked to stop, at once if that was before.
+    /// Returns when the user has asked to stop; at once if that happened before the call.
     pub async fn wait(&mut self) {
-        // An error means that the listener is gone, which it is only when the runtime ends.
+        // An error means that the sender is gone, which happens only at the end of the runtime.
         let _ = self.stopped.wait_for(|&stopped| stopped).await;
     }
 }

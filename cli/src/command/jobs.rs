@@ -1,4 +1,4 @@
-//! `femc jobs`: all jobs of the farm.
+//! `femc jobs`: lists all jobs of the farm.
 
 use super::client;
 use crate::args::{FormatArgs, SelectArgs, ServerArgs};
@@ -19,7 +19,7 @@ use femc_proto::Listing;
 pub struct JobsArgs {
     #[command(flatten)]
     select: SelectArgs,
-    /// Jobs in this state; may be given again
+    /// Only jobs in this state; repeatable
     #[arg(long, value_name = "STATE", value_parser = PossibleValuesParser::new(STATES))]
     state: Vec<String>,
     #[command(flatten)]
@@ -28,10 +28,10 @@ pub struct JobsArgs {
     server: ServerArgs,
 }
 
-/// The states of jobs.
+/// States of jobs.
 const STATES: [&str; 6] = ["queued", "running", "paused", "done", "failed", "cancelled"];
 
-/// List.
+/// Runs `femc jobs`.
 pub fn run(args: &JobsArgs, say: Say) -> Result<Exit, Failure> {
     let Listing { jobs, warnings } = client::block_on(&args.server, async |farm| farm.listing().await)?;
     for warning in warnings {

@@ -1,4 +1,4 @@
-//! `femc logs JOB [TASK]`: what workers wrote down.
+//! `femc logs JOB [TASK]`: prints the logs of a job's tasks.
 
 use super::client::{self, Farm};
 use super::interrupt::Interrupt;
@@ -12,7 +12,7 @@ use femc_service::view::LogJson;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// Print what workers wrote down while they did a job's tasks, the newest last
+/// Print the logs of a job's tasks, the newest last
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc logs 7                      # every attempt whose log is kept\n  \
@@ -27,7 +27,7 @@ use std::time::Duration;
     round, the kind and number of its stage (as in `femc plan`) and its number in the stage. What jobs share is named shared-3; \
     its logs are shown with each of them.")]
 pub struct LogsArgs {
-    /// The job's number, or a task with its job, like 7/12.0/render.0/3
+    /// Job number, or a task with its job, like 7/12.0/render.0/3
     #[arg(value_name = "JOB")]
     job: JobTasks,
     /// A frame, or a task: 12, 12.0/image, 12.0/render.0/3
@@ -36,7 +36,7 @@ pub struct LogsArgs {
     /// Only attempts that failed
     #[arg(long)]
     failed: bool,
-    /// Print new ones as they come, until the job ends; with --json one document a line
+    /// Follow: print new records until the job ends; with --json one document per line
     #[arg(long, short)]
     follow: bool,
     #[command(flatten)]
@@ -45,10 +45,10 @@ pub struct LogsArgs {
     server: ServerArgs,
 }
 
-/// Between two looks.
+/// Interval between two calls.
 const EVERY: Duration = Duration::from_millis(500);
 
-/// Print.
+/// Runs `femc logs`.
 pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {
     if args.task.is_some() && args.job.tasks != Tasks::default() {
         return Err(usage("TASK: the task is named twice; write JOB TASK, or JOB/TASK"));
@@ -57,7 +57,7 @@ pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {
         let mut interrupt = Interrupt::listen()?;
         let mut seen = Seen::default();
         loop {
-            // Asked before the logs: what is logged before the end is not missed.
+            // The status is read before the logs, so that records from before the end are not missed.
             let has_ended = !args.follow || farm.patient_status(args.job.job).await?.state.has_ended();
             let records = seen.fresh(farm.logs(args.job.job, seen.since).await?);
             show(args, farm, &records, say).await?;
@@ -72,7 +72,7 @@ pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {
     })
 }
 
-/// What has been shown.
+/// Records that have been printed.
 #[derive(Default)]
 struct Seen {
     since: Tick,
@@ -80,7 +80,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// Those of `records` that have not been seen.
+    /// Returns those of `records` that are new.
     fn fresh(&mut self, records: Vec<LogRecord>) -> Vec<LogRecord> {
         self.since = records.last().map_or(self.since, |record| record.at);
         let attempts = &mut self.attempts;

@@ -1,4 +1,4 @@
-//! The frame in work, looked at again and again beside a progress display.
+//! Preview of the frame in progress, refreshed beside a progress display.
 
 use super::client::Farm;
 use super::preview::Partial;
@@ -11,32 +11,32 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::{JoinHandle, block_in_place};
 
-/// Between two looks.
+/// Interval between two refreshes.
 const EVERY: Duration = Duration::from_secs(2);
 
-/// What becomes of what is seen.
+/// Destinations of the preview.
 #[derive(Clone, Debug)]
 pub struct Views {
     /// Whether it is drawn for a terminal.
     pub drawn: bool,
-    /// The file that always holds the latest picture.
+    /// File that always contains the latest picture.
     pub file: Option<PathBuf>,
 }
 
-/// Looks at a job; ends when it is dropped.
+/// A background task that previews a job. It ends when this value is dropped.
 pub struct Lookout {
     drawn: watch::Receiver<String>,
     task: JoinHandle<Result<(), Failure>>,
 }
 
 impl Lookout {
-    /// Start to look.
+    /// Starts the background task.
     pub fn new(farm: Farm, job: JobId, views: Views) -> Self {
         let (tell, drawn) = watch::channel(String::new());
         Self { drawn, task: tokio::spawn(look(farm, job, views, tell)) }
     }
 
-    /// The latest drawing, if it is new.
+    /// Returns the latest drawing, if it is new.
     /// - errors: the file cannot be written.
     pub async fn latest(&mut self) -> Result<Option<String>, Failure> {
         if self.task.is_finished() {
@@ -56,7 +56,7 @@ impl Drop for Lookout {
 async fn look(farm: Farm, job: JobId, views: Views, tell: watch::Sender<String>) -> Result<(), Failure> {
     let mut partial = None;
     loop {
-        // A coordinator that is away, or parts that are gone, are no fault of a look: the next one sees more.
+        // If the coordinator is away or parts are gone, this preview is skipped: the next one shows more.
         if let Ok(Some(seen)) = see(&farm, job, partial.take()).await {
             block_in_place(|| show(&seen, &views, &tell))?;
             partial = Some(seen);
@@ -65,7 +65,7 @@ async fn look(farm: Farm, job: JobId, views: Views, tell: watch::Sender<String>)
     }
 }
 
-/// The first frame in work, as far as it is done; `before`: what was seen of it before.
+/// Returns the first frame in progress, as far as it is done. `before`: the previous preview, which is extended if possible.
 async fn see(farm: &Farm, job: JobId, before: Option<Partial>) -> Result<Option<Partial>, Failure> {
     let Some(parts) = farm.parts(job).await?.into_iter().next() else { return Ok(None) };
     let mut partial = match before.filter(|before| before.may_take(&parts)) {
@@ -79,7 +79,7 @@ fn show(seen: &Partial, views: &Views, tell: &watch::Sender<String>) -> Result<(
     let color = seen.image()?.color;
     let curve = ToneCurve::auto([&color]);
     if views.drawn {
-        // Without a listener the watch is over.
+        // If the receiver is gone, the preview has ended.
         let _ = tell.send(draw(&color, curve, Room::at_stderr_or_usual()));
     }
     if let Some(file) = &views.file {

@@ -1,4 +1,4 @@
-//! The page of metrics of a service.
+//! Metrics page of a service.
 
 use crate::exit::{Failure, failed};
 use crate::output::Say;
@@ -6,7 +6,7 @@ use femc_metrics::{Report, serve};
 use std::net::SocketAddr;
 use tokio::net::TcpListener;
 
-/// Show what `report` says at `address`, if there is one, for as long as the runtime lives.
+/// Serves the metrics of `report` at `address`, if there is one, until the end of the runtime.
 pub async fn show<R>(
     address: Option<SocketAddr>,
     report: impl Fn() -> R + Clone + Send + Sync + 'static,

@@ -1,4 +1,4 @@
-//! The command line, and the commands, one a file.
+//! The command line, and the commands, one per file.
 
 pub mod backup;
 pub mod bench;
@@ -65,7 +65,7 @@ use femc_model::Control;
     infer_subcommands = false
 )]
 pub struct Cli {
-    /// What all commands share.
+    /// Arguments that all commands share.
     #[command(flatten)]
     pub common: CommonArgs,
     /// The command.
@@ -105,16 +105,16 @@ pub enum Command {
     Gc(gc::GcArgs),
     Backup(backup::BackupArgs),
     Ca(ca::CaArgs),
-    /// Hold jobs: running tasks end, no new ones begin
+    /// Pause jobs: running tasks finish, no new ones start
     #[command(after_help = "Examples:\n  femc pause 7\n  femc pause --owner ann")]
     Pause(control::JobsArgs),
-    /// End a pause
+    /// Resume paused jobs
     #[command(after_help = "Examples:\n  femc resume 7 8")]
     Resume(control::JobsArgs),
-    /// End jobs now; their finished frames stay
+    /// Cancel jobs at once; their finished frames stay
     #[command(after_help = "Examples:\n  femc cancel 7\n  femc cancel 5 6 7\n  femc cancel --owner ann --name 'fog-*'")]
     Cancel(control::JobsArgs),
-    /// Try again what failed of jobs, or what a cancel left undone
+    /// Retry failed tasks of jobs, or the unfinished tasks of cancelled jobs
     #[command(after_help = "Examples:\n  femc retry 7\n  femc retry 7 --frames 3,7..9\n\n\
         Of a job that is done, and of the frames that are named, the images are read: frames whose image is damaged or gone are\n\
         rendered again.")]
@@ -136,7 +136,7 @@ pub enum Command {
 }
 
 impl Command {
-    /// What it is to those who collect spans.
+    /// Name of the service in exported spans.
     #[cfg(feature = "otel")]
     pub fn service(&self) -> &'static str {
         match self {
@@ -146,13 +146,13 @@ impl Command {
         }
     }
 
-    /// Whether the command runs until it is stopped, and so tells what it does as it goes.
+    /// Returns whether the command runs until it is stopped, and so logs its progress.
     pub fn is_service(&self) -> bool {
         matches!(self, Self::Coordinator(_) | Self::Worker(_))
     }
 }
 
-/// Do what was asked.
+/// Runs the command.
 pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
     match cli.command {
         Command::Render(args) => render::run(args, say),

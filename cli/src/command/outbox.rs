@@ -1,21 +1,21 @@
-//! Where a worker keeps results that are not acknowledged.
+//! Store of a worker's unacknowledged results.
 
 use femc_worker::{IfTaken, OutboxConfig, OutboxPlace};
 use std::path::PathBuf;
 
-/// Most bytes of results on disk.
+/// Largest size of results on disk in bytes.
 const LIMIT: u64 = 4 << 30;
 
-/// What `--outbox` says.
+/// Value of `--outbox`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outbox {
-    /// Nothing is written.
+    /// Results are kept in memory only.
     Memory,
-    /// In this folder.
+    /// Results are kept in this folder.
     Folder(PathBuf),
 }
 
-/// A folder, or `memory`.
+/// Parses a folder, or `memory`.
 pub fn parse(text: &str) -> Result<Outbox, String> {
     match text {
         "" => Err("give a folder, or memory".to_owned()),
@@ -24,8 +24,8 @@ pub fn parse(text: &str) -> Result<Outbox, String> {
     }
 }
 
-/// The outbox as asked for, or one for this coordinator and name under the user's state folder; `None` where there is no
-/// such folder.
+/// Returns the requested outbox, or one for this coordinator and name under the user's state folder; `None` if there is no such
+/// folder.
 pub fn config(asked: Option<Outbox>, join: &str, name: &str) -> Option<OutboxPlace> {
     let (folder, if_taken) = match asked {
         Some(Outbox::Memory) => return None,
@@ -35,14 +35,14 @@ pub fn config(asked: Option<Outbox>, join: &str, name: &str) -> Option<OutboxPla
     Some(OutboxPlace::Folder(OutboxConfig { folder, limit: LIMIT, if_taken }))
 }
 
-/// A file name for a coordinator and a worker.
+/// Returns a file name for a coordinator and a worker.
 fn plain(join: &str, name: &str) -> String {
     let address = join.split_once("://").map_or(join, |(_, address)| address);
     let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '.' || c == '-';
     format!("{address}-{name}").chars().map(|c| if is_plain(c) { c } else { '_' }).take(100).collect()
 }
 
-/// The user's folder for what programs remember.
+/// Returns the user's folder for program state.
 fn state() -> Option<PathBuf> {
     let folder = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     folder("XDG_STATE_HOME")

@@ -1,4 +1,4 @@
-//! `femc paths FRAME.paths...`: the light paths of frames that were rendered with `--stats`.
+//! `femc paths FRAME.paths...`: lists the light paths of frames that were rendered with `--stats`.
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure, usage};
@@ -15,7 +15,7 @@ use femc_reports::light::{self, Unit};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-/// List light paths of frames: where they have been, and what light they have found
+/// List light paths of frames: their intersections, and the light that they found
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc paths box.paths                                        # what there is\n  \
@@ -39,49 +39,49 @@ use std::path::PathBuf;
     The paths are a fair subset of all samples, by hashes of their numbers; the share is said. --brightest and --deepest are those of \
     greatest radiance, and of greatest throughput after 8 intersections or more, of all samples.")]
 pub struct PathsArgs {
-    /// The files beside the frames, or folders of such files
+    /// Statistics files (.paths) of the frames, or folders of such files
     #[arg(value_name = "FRAME.paths|FOLDER", required = true)]
     files: Vec<PathBuf>,
-    /// Take the frames of all files as one: a frame that is given twice counts once
+    /// Treat the frames of all files as one file: a frame that occurs twice counts once
     #[arg(long)]
     union: bool,
-    /// Write the union of the frames of all files; it can be asked as a frame can
+    /// Write the union of the frames of all files; it can be queried like a frame
     #[arg(long, value_name = "ALL.paths", conflicts_with_all = ["csv", "json", "parquet"])]
     out: Option<PathBuf>,
-    /// What an intersection of the path is like
+    /// Condition on an intersection of the path
     #[arg(long = "where", value_name = "CONDITION")]
     condition: Option<String>,
-    /// Object that the path has come to
+    /// Object that the path intersects
     #[arg(long, value_name = "NAME")]
     object: Option<String>,
-    /// Object that it has come to later (repeatable)
+    /// Object that the path intersects later (repeatable)
     #[arg(long, value_name = "NAME", requires = "object")]
     then: Vec<String>,
-    /// Corners of a box of the world that the intersection is in, m; or an object: the box of what paths have met of it
+    /// Box of the world that contains the intersection, by its corners in m; or an object: the box of its recorded intersections
     #[arg(long = "in", value_name = "X,Y,Z,X,Y,Z|NAME", allow_hyphen_values = true)]
     within: Option<String>,
-    /// The brightest samples of each tile in place of a fair subset
+    /// Query the brightest samples of each tile instead of a fair subset
     #[arg(long, conflicts_with_all = ["deepest", "few", "rarest"])]
     brightest: bool,
-    /// The deepest paths of greatest throughput of each tile in place of a fair subset
+    /// Query the deepest paths of greatest throughput of each tile instead of a fair subset
     #[arg(long, conflicts_with_all = ["few", "rarest"])]
     deepest: bool,
-    /// List N paths whose histograms are nearest to the histograms of all paths
+    /// List N representative paths, whose histograms are nearest to the histograms of all paths
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     few: Option<u32>,
-    /// List N paths that have something which fewest others have, the rarest first
+    /// List N paths with the rarest attributes, the rarest first
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "few")]
     rarest: Option<u32>,
-    /// With --table voxels: what the voxels have less in another frame of the same place
+    /// With --table voxels: subtract the voxels of this frame of the same place
     #[arg(long, value_name = "FRAME.paths")]
     minus: Option<PathBuf>,
-    /// What a line is of
+    /// Subject of a line
     #[arg(long, value_enum, default_value_t = Table::Paths, value_name = "WHAT")]
     table: Table,
-    /// Lines for people
+    /// Number of lines in the table
     #[arg(long, value_name = "N", default_value_t = 20)]
     lines: usize,
-    /// Print CSV on stdout, the names of the columns first
+    /// Print CSV on stdout, with a header line
     #[arg(long, conflicts_with = "json")]
     csv: bool,
     /// Write an Apache Parquet file
@@ -91,26 +91,26 @@ pub struct PathsArgs {
     format: FormatArgs,
 }
 
-/// What is listed.
+/// Subject of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Table {
     /// A path
     Paths,
-    /// An intersection that is as asked for
+    /// An intersection that matches the query
     Intersections,
-    /// A light that such a path has looked for
+    /// A light that a matching path has sampled
     Lights,
-    /// A bin of an attribute's histogram, of all paths of the file
+    /// A bin of an attribute's histogram, over all paths of the file
     Histograms,
     /// A bin of the histogram of two attributes
     Pairs,
     /// A voxel of the scene's box, with the energy of the paths' intersections
     Voxels,
-    /// A pixel of the image, with what is known of all its samples
+    /// A pixel of the image, with the statistics of all its samples
     Pixels,
 }
 
-/// List.
+/// Runs `femc paths`.
 pub fn run(args: &PathsArgs, say: Say) -> Result<Exit, Failure> {
     let mut units = light::units(&args.files)?;
     if args.union || args.out.is_some() {
@@ -161,7 +161,7 @@ fn rows<'a, R>(frames: &'a [Frame<'a>], of: impl Fn(&'a Frame<'a>) -> Vec<R>) ->
     frames.iter().flat_map(of).collect()
 }
 
-/// The cube about the boxes of all frames. Voxels are parts of it, so all frames have the same voxels.
+/// Returns the cube around the boxes of all frames. Voxels are parts of it, so all frames have the same voxels.
 fn root<'a>(all: impl Iterator<Item = &'a Statistics>) -> Root {
     let (mut lower, mut upper) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for Statistics { scope, .. } in all {
@@ -182,7 +182,7 @@ fn query(args: &PathsArgs, all: &[Unit]) -> Result<Query, Failure> {
     Ok(Query { condition, objects, within })
 }
 
-/// Whether some path has come to an object.
+/// Checks that some path intersects an object.
 fn known(object: &str, all: &[Unit]) -> Result<(), Failure> {
     let frames = || all.iter().flat_map(|unit| &unit.frames);
     if frames().any(|all| is_known(&all.names, object)) {
@@ -201,7 +201,7 @@ fn known(object: &str, all: &[Unit]) -> Result<(), Failure> {
     )))
 }
 
-/// Six numbers, or the box of the intersections with an object.
+/// Parses six numbers, or returns the box of the intersections with an object.
 fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
     let numbers: Result<Vec<f64>, _> = within.split(',').map(|number| number.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
@@ -233,7 +233,7 @@ fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
     Ok([low, high])
 }
 
-/// The paths that are asked for, by frame, in the order of the file; the rarest of a frame in theirs.
+/// Returns the matching paths, by frame, in the order of the file; with `--rarest`, the rarest paths of a frame come first.
 fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<Frame<'a>> {
     let of_frame = |all: &'a Statistics| -> Vec<&'a LightPath> {
         match (args.brightest, args.deepest) {
@@ -242,7 +242,7 @@ fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<F
             _ => all.paths.values().collect(),
         }
     };
-    // Paths are numbered through all frames of a file.
+    // Paths are numbered across all frames of a file.
     let paths: Vec<(usize, &LightPath)> = unit
         .frames
         .iter()
@@ -270,7 +270,7 @@ fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<F
     frames
 }
 
-/// Says how many of how many paths were found.
+/// Prints how many paths match, and how many there are.
 fn note(args: &PathsArgs, unit: &Unit, (count, of): (usize, usize), say: Say) {
     let what = match (args.brightest, args.deepest) {
         (true, _) => "of the brightest",
@@ -278,7 +278,7 @@ fn note(args: &PathsArgs, unit: &Unit, (count, of): (usize, usize), say: Say) {
         _ => "recorded",
     };
     let is_fair = !args.brightest && !args.deepest && args.few.is_none() && args.rarest.is_none();
-    // All frames of a file have one share.
+    // All frames of a file have the same share.
     let share = unit.frames.first().map_or(1.0, Statistics::share);
     let samples: u64 = unit.frames.iter().map(Statistics::samples).sum();
     let about = if is_fair {
@@ -299,7 +299,8 @@ fn bins(unit: &Unit) -> Vec<Bins> {
     paths.collect()
 }
 
-/// Numbers of paths that stand for all, in order, and what each counts so that every attribute is right.
+/// Returns the numbers of representative paths, ascending, and their weights. With these weights, the histogram of every attribute
+/// is right.
 fn representatives(unit: &Unit, few: usize, say: Say) -> Vec<(u32, Option<f64>)> {
     let bins = bins(unit);
     let candidates = candidates(unit, few.saturating_mul(8));
@@ -319,7 +320,7 @@ fn representatives(unit: &Unit, few: usize, say: Say) -> Vec<(u32, Option<f64>)>
     chosen
 }
 
-/// Numbers of the paths of least hash, in the order of the hashes.
+/// Returns the numbers of the paths with the smallest hashes, in the order of the hashes.
 fn candidates(unit: &Unit, most: usize) -> Vec<u32> {
     let hashes = unit.frames.iter().flat_map(|all| all.paths.keys());
     let mut all: Vec<_> = hashes.copied().zip(0u32..).collect();

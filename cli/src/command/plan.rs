@@ -1,4 +1,4 @@
-//! `femc plan SCENE`: what would run, without running it.
+//! `femc plan SCENE`: prints what would run, without running it.
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
 
-/// Show what would run: stages, tasks, estimated cost, and for what is left out the reason
+/// Show what would run: stages, tasks, estimated cost, and why stages are left out
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc plan scenes/roundabout.mgf --frames 1..24 --spp 64\n  \
@@ -31,7 +31,7 @@ pub struct PlanArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
-    /// Estimate no cost: render no trial
+    /// Do not estimate the cost: render no trial
     #[arg(long)]
     no_trial: bool,
     #[command(flatten)]
@@ -44,18 +44,18 @@ pub struct PlanArgs {
     settings: SettingsArgs,
 }
 
-/// Whether something is rendered to learn what it costs.
+/// Whether a trial is rendered to estimate the cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trial {
-    /// A little.
+    /// A short trial is rendered.
     Run,
-    /// Nothing.
+    /// Nothing is rendered.
     Skip,
 }
 
-/// A trial renders for about this long.
+/// Approximate duration of a trial.
 const TRIAL: Duration = Duration::from_millis(300);
-/// A pilot begins no further round after this.
+/// Time after which a pilot starts no further round.
 const PILOT: Duration = Duration::from_millis(1500);
 /// Edge of the blocks of a trial, pixels.
 const BLOCK: u32 = 8;
@@ -71,49 +71,50 @@ struct Report {
     tile: u32,
     tiles: usize,
     rounds: Vec<u32>,
-    /// As it is submitted.
+    /// Graph, as it is submitted.
     graph: Graph,
-    /// In all frames, if every round runs.
+    /// Tasks of all frames, if every round runs.
     tasks: u64,
-    /// Different worlds that the frames are of, whatever the camera does: what frames with one have in common could be done once.
+    /// Number of different worlds among the frames, ignoring the camera. Frames of one world could share work.
     worlds: usize,
-    /// Solutions of the first pass that the frames share: one for each world, around its origin; 0 where the method has none.
+    /// Number of first-pass solutions that the frames share: one for each world, around its origin; 0 if the method has no first
+    /// pass.
     first_passes: usize,
-    /// Faces and curved surfaces, each as often as it is placed.
+    /// Number of faces and curved surfaces, counting every instance.
     surfaces: u64,
-    /// Blocks that a solution is cut into; 1: it is one task.
+    /// Blocks that a solution is cut into; 1: the solution is one task.
     first_pass_blocks: u32,
     samples_least: u64,
     samples_most: u64,
     cost: Option<Cost>,
-    /// Why it is this method, where none was named and a trial was run.
+    /// Reason for the method, if none was named and a pilot ran.
     choice: Option<Choice>,
     left_out: Vec<LeftOut>,
 }
 
-/// Estimated from a trial on this machine.
+/// Cost estimated from a trial on this machine.
 #[derive(Serialize)]
 pub struct Cost {
-    /// A frame made ready, s.
+    /// Time to prepare a frame, s.
     pub prepare_seconds: f64,
-    /// A first pass solved, s; 0 where the method has none.
+    /// Time to solve a first pass, s; 0 if the method has none.
     pub first_pass_seconds: f64,
-    /// Rate of camera samples.
+    /// Camera samples per second.
     pub samples_per_second: f64,
     seconds_least: f64,
     seconds_most: f64,
-    /// By a pilot, with `--error`: likely samples a pixel, and the time that these take, s.
+    /// With `--error`: a pilot's estimate of samples per pixel and time.
     likely: Option<Likely>,
 }
 
-/// What a pilot says.
+/// Estimate of a pilot.
 #[derive(Serialize)]
 struct Likely {
     samples_a_pixel: f64,
     seconds: f64,
 }
 
-/// Plan, and estimate.
+/// Runs `femc plan`.
 pub fn run(mut args: PlanArgs, say: Say) -> Result<Exit, Failure> {
     let run = if args.no_trial { Trial::Skip } else { Trial::Run };
     let painting = args.painting.wish()?;
@@ -184,13 +185,13 @@ fn first_passes(asked: &Asked) -> Result<usize, Failure> {
     Ok(contents.iter().map(|(_, key)| key).collect::<BTreeSet<_>>().len())
 }
 
-/// Render a few blocks all over the first frame and count what a sample costs.
-/// - `first_passes`: solutions that the frames share.
+/// Renders a few blocks spread over the first frame and measures the cost of a sample.
+/// - `first_passes`: number of solutions that the frames share.
 pub fn trial(asked: &Asked, first_passes: usize, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
     threads::pool(asked.threads)?.install(|| tried(asked, first_passes, samples_least, samples_most))
 }
 
-/// Like [`trial`], on the calling thread's pool.
+/// Does the work of [`trial`] on the calling thread's pool.
 fn tried(asked: &Asked, first_passes: usize, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
     let (clock, plan) = (Clock, &asked.plan);
     let frame = plan.frames.first().copied().unwrap_or(1);
@@ -231,7 +232,7 @@ fn tried(asked: &Asked, first_passes: usize, samples_least: u64, samples_most: u
     Ok(Cost { prepare_seconds, first_pass_seconds, samples_per_second, seconds_least, seconds_most, likely })
 }
 
-/// Samples a pixel that a frame is likely to need for its error; `None` where that is not what ends it.
+/// Returns the samples per pixel that a frame is likely to need to reach its error; `None` if it does not stop by error.
 fn pilot(asked: &Asked, prepared: &Prepared, frame: u32) -> Result<Option<f64>, Failure> {
     if !matches!(asked.settings.stop, Stop::Error(_)) {
         return Ok(None);
@@ -243,7 +244,7 @@ fn pilot(asked: &Asked, prepared: &Prepared, frame: u32) -> Result<Option<f64>, 
     femc_pipeline::pilot::likely_samples(&prepared, &settings, || clock.since(begun) >= PILOT).map_err(failed)
 }
 
-/// One sample a pixel in 16 blocks spread over the film; how many samples that were.
+/// Renders one sample per pixel in 16 blocks spread over the film. Returns the number of samples.
 fn blocks(asked: &Asked, prepared: &Prepared, round: u32) -> u64 {
     let [width, height] = asked.film();
     let (across, down) = (width.div_ceil(BLOCK).min(4), height.div_ceil(BLOCK).min(4));
@@ -326,7 +327,7 @@ fn print(say: Say, report: &Report) {
     }
 }
 
-/// A line for each stage.
+/// Returns a table with a line for each stage.
 fn table(graph: &Graph) -> String {
     let row = |(stage, template): (u16, &Template)| {
         let per = match template.scope {
@@ -362,12 +363,12 @@ fn far(reach: Reach) -> String {
     }
 }
 
-/// `numbers of 0 (all of the frame before if there)`.
+/// Returns text like `numbers of 0 (all of the frame before if there)`.
 fn seen(hint: &Hint) -> String {
     format!("{} of {} ({} of the frame before if there)", hint.role.name(), hint.stage, far(hint.reach))
 }
 
-/// `tile of 0 (64 each)`.
+/// Returns text like `tile of 0 (64 each)`.
 fn read(need: &Need) -> String {
     let reach = far(need.reach);
     let round = match need.round {
@@ -379,7 +380,7 @@ fn read(need: &Need) -> String {
     format!("{} of {} ({reach}{round}{gaps})", need.role.name(), need.stage)
 }
 
-/// `frame 3`, `120 frames (1..120)`.
+/// Returns text like `frame 3`, `120 frames (1..120)`.
 fn spelled(frames: &[u32]) -> String {
     match frames {
         [one] => format!("frame {one}"),

@@ -1,4 +1,4 @@
-//! A frame in work as a picture: the same union that the farm will make, of what is there.
+//! Preview of a frame in progress. It combines the existing parts in the same way as the farm will combine all parts.
 
 use super::client::Farm;
 use crate::exit::{Failure, failed};
@@ -8,28 +8,29 @@ use femc_pictures::shows_pixels;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// A frame as far as it is done; it grows.
+/// A partly rendered frame, which grows.
 pub struct Partial {
     frame: u32,
     union: femc_pictures::Partial,
-    /// What is taken in.
+    /// Digests of the parts that have been added.
     seen: BTreeSet<Digest>,
 }
 
 impl Partial {
-    /// Nothing of a frame yet.
+    /// Creates an empty frame.
     pub fn new(parts: &FrameParts) -> Result<Self, Failure> {
         let union = femc_pictures::Partial::new(parts).map_err(failed)?;
         Ok(Self { frame: parts.frame, union, seen: BTreeSet::new() })
     }
 
-    /// Whether these parts are of the same frame and add to what is here: another round begins with other sums.
+    /// Returns whether these parts belong to the same frame and extend this one. After the start of another round the sums differ,
+    /// and they do not.
     pub fn may_take(&self, parts: &FrameParts) -> bool {
         let mut sums = parts.outputs.iter().filter(|output| output.role == Role::Sums);
         self.frame == parts.frame && sums.all(|sums| self.seen.contains(&sums.artifact.digest))
     }
 
-    /// Take in what is new; false if the frame went on meanwhile, and its parts are gone.
+    /// Adds the new parts. Returns false if the frame has progressed meanwhile and its parts are gone.
     pub async fn take(&mut self, farm: &Farm, parts: &FrameParts) -> Result<bool, Failure> {
         for Output { role, artifact } in &parts.outputs {
             if !shows_pixels(*role) || self.seen.contains(&artifact.digest) {
@@ -42,12 +43,12 @@ impl Partial {
         Ok(true)
     }
 
-    /// Black where nothing is rendered yet.
+    /// Returns the image, black where nothing is rendered yet.
     pub fn image(&self) -> Result<FrameImage, Failure> {
         self.union.image().map_err(failed)
     }
 
-    /// Write it as EXR.
+    /// Writes the image as EXR.
     pub fn write(&self, path: &Path) -> Result<(), Failure> {
         let image = self.image()?;
         let provenance = Provenance {

@@ -1,4 +1,4 @@
-//! `femc report JOB`: what became of jobs, as a page; or what is known of the light of frames.
+//! `femc report JOB`: writes a page about jobs, or about the light of frames.
 
 use super::subject::{self, Logs, Subject};
 use crate::args::ServerArgs;
@@ -18,17 +18,17 @@ use std::path::{Path, PathBuf};
     femc report box.paths                      # maps and histograms of the light of a frame: box.html\n\n\
     One file that opens without a network. The numbers behind it: `femc stats`; of light: `femc paths` and `femc bottlenecks`.")]
 pub struct ReportArgs {
-    /// Numbers of jobs, or the folders of sweeps that have ended; or files with the light of frames
+    /// Job numbers, or folders of sweeps that have ended; or light statistics (.paths) of frames
     #[arg(value_name = "JOB|DIR|FRAME.paths", required = true)]
     subjects: Vec<Subject>,
-    /// File to write [default: job-JOB.html, of a sweep DIR/report.html, of a frame FRAME.html]
+    /// File to write [default: job-JOB.html, DIR/report.html for a sweep, FRAME.html for a frame]
     #[arg(long, short, value_name = "FILE.html")]
     out: Option<PathBuf>,
     #[command(flatten)]
     server: ServerArgs,
 }
 
-/// Write.
+/// Runs `femc report`.
 pub fn run(args: &ReportArgs, say: Say) -> Result<Exit, Failure> {
     if let Some(files) = light_files(&args.subjects)? {
         return light_page(args, &files, say);
@@ -48,7 +48,7 @@ pub fn run(args: &ReportArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The files, if the page is about light.
+/// Returns the statistics files, if the page is about light.
 fn light_files(subjects: &[Subject]) -> Result<Option<Vec<PathBuf>>, Failure> {
     let is_light = |path: &Path| path.extension().is_some_and(|extension| extension == "paths");
     let files: Vec<PathBuf> = subjects
@@ -77,7 +77,7 @@ fn light_page(args: &ReportArgs, files: &[PathBuf], say: Say) -> Result<Exit, Fa
         let unit = read(file)?;
         let is_one = unit.frames.len() == 1;
         for statistics in unit.frames {
-            // Of a union the frames' numbers tell them apart.
+            // In a union, the frame numbers distinguish the frames.
             let number = statistics.scope.frame;
             let name = if is_one { file.clone() } else { format!("{}, frame {number}", file.display()).into() };
             frames.push((name, statistics));

@@ -1,8 +1,8 @@
-//! What browsers are shown of a farm.
+//! Web pages of a farm.
 
 use femc_coordinator::{Files, Site};
 
-/// The pages, and who draws their pictures.
+/// Returns the pages, and the renderer of their pictures.
 pub fn site() -> Site {
     #[cfg(feature = "ui")]
     let files = Files(femc_web::FILES);

@@ -1,4 +1,4 @@
-//! `femc stats JOB`: what jobs' tasks took.
+//! `femc stats JOB`: prints the usage of jobs' tasks.
 
 use super::subject::{self, Logs, Subject};
 use crate::args::{FormatArgs, ServerArgs};
@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use femc_reports::attempts::{By, Json, columns, csv, human, rows, write_parquet};
 use std::path::PathBuf;
 
-/// Print what jobs' tasks took: time, processor, memory, samples, rays, bytes
+/// Print the usage of jobs' tasks: time, processor, memory, samples, rays, bytes
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc stats 7                              # a line a frame\n  \
@@ -26,13 +26,13 @@ use std::path::PathBuf;
     the most that the process had meanwhile. Seconds of `began` and `ended` count from the first attempt, by the \
     coordinator's clock.")]
 pub struct StatsArgs {
-    /// Numbers of jobs, or the folders of sweeps that have ended
+    /// Job numbers, or folders of sweeps that have ended
     #[arg(value_name = "JOB|DIR", required = true)]
     subjects: Vec<Subject>,
-    /// What a line is of
+    /// Subject of a line
     #[arg(long, value_enum, default_value_t = Lines::Frame, value_name = "WHAT")]
     by: Lines,
-    /// Print CSV on stdout, the names of the columns first
+    /// Print CSV on stdout, with a header line
     #[arg(long, conflicts_with = "json")]
     csv: bool,
     /// Write an Apache Parquet file
@@ -44,16 +44,16 @@ pub struct StatsArgs {
     server: ServerArgs,
 }
 
-/// What a line is of.
+/// Subject of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Lines {
     /// A task, with all its attempts.
     Task,
     /// A frame.
     Frame,
-    /// A variant of a sweep; of other jobs, a job.
+    /// A variant of a sweep; for other jobs, the job.
     Variant,
-    /// A worker's process.
+    /// A worker process.
     Worker,
     /// One attempt at a task.
     Attempt,
@@ -71,7 +71,7 @@ impl From<Lines> for By {
     }
 }
 
-/// Print.
+/// Runs `femc stats`.
 pub fn run(args: &StatsArgs, say: Say) -> Result<Exit, Failure> {
     let records = subject::records(&args.subjects, Logs::None, &args.server)?;
     let by = args.by.into();

@@ -1,4 +1,4 @@
-//! `femc status JOB`.
+//! `femc status JOB`: prints the state of a job.
 
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
@@ -9,7 +9,7 @@ use clap::Args;
 use femc_model::JobId;
 use serde::Serialize;
 
-/// Show where a job stands
+/// Show the state of a job
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc status 7\n  \
@@ -18,10 +18,10 @@ use serde::Serialize;
     The slowest frame is the finished one whose attempts took the most processor time; waiting for other tasks and jobs does not \
     count. `femc stats 7` lists all frames.")]
 pub struct StatusArgs {
-    /// The job's number, as `submit` printed it
+    /// Job number, as printed by `submit`
     #[arg(value_name = "JOB")]
     job: u64,
-    /// Say why tasks of it wait, as the scheduler sees it
+    /// Explain why tasks of the job wait, as the scheduler sees it
     #[arg(long)]
     why: bool,
     #[command(flatten)]
@@ -30,7 +30,7 @@ pub struct StatusArgs {
     server: ServerArgs,
 }
 
-/// A job as `femc jobs --json` has it, and its slowest frame.
+/// A job as in `femc jobs --json`, and its slowest frame.
 #[derive(Serialize)]
 struct StatusJson {
     #[serde(flatten)]
@@ -47,7 +47,7 @@ struct SlowestFrame {
     waiting_seconds: f64,
 }
 
-/// Show.
+/// Runs `femc status`.
 pub fn run(args: &StatusArgs, say: Say) -> Result<Exit, Failure> {
     let (job, frames) = client::block_on(&args.server, async |farm| {
         let job = farm.status(JobId(args.job)).await?;

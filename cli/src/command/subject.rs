@@ -1,4 +1,5 @@
-//! What `femc stats` and `femc report` are about: jobs of a farm, or the folder of a sweep, which has kept what its farm recorded.
+//! Subjects of `femc stats` and `femc report`: jobs of a farm, or the folder of a sweep. The folder contains the records of the
+//! sweep's jobs.
 
 use super::client::{self, Farm};
 use crate::args::ServerArgs;
@@ -9,17 +10,17 @@ use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// Most failures of a job whose logs are fetched.
+/// Largest number of failures per job whose logs are fetched.
 const FAILURES: usize = 50;
-/// The folder within a sweep's in which files lie, one for each of its jobs.
+/// Subfolder of a sweep's folder with one record file per job.
 const KEPT: &str = "jobs";
 
-/// One that is asked about.
+/// Subject of a report.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Subject {
-    /// A job of the farm, or what jobs share.
+    /// A job of the farm, or the shared job.
     Job(JobId),
-    /// A sweep's folder.
+    /// Folder of a sweep.
     Sweep(PathBuf),
 }
 
@@ -31,16 +32,16 @@ impl FromStr for Subject {
     }
 }
 
-/// Whose failures' logs are wanted, too.
+/// Failure logs that are fetched in addition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Logs {
-    /// Nobody's.
+    /// No logs.
     None,
-    /// Those of the first failures of each job.
+    /// Logs of the first failures of each job.
     Failures,
 }
 
-/// The records of all subjects; no farm is asked about a folder.
+/// Returns the records of all subjects. Folders need no farm.
 pub fn records(subjects: &[Subject], logs: Logs, server: &ServerArgs) -> Result<Vec<JobRecord>, Failure> {
     let mut records = Vec::new();
     let mut jobs = Vec::new();
@@ -70,13 +71,13 @@ fn kept(folder: &Path) -> Result<Vec<JobRecord>, Failure> {
     Ok(read_all(&jobs)?)
 }
 
-/// Where a sweep keeps the record of a ticket's job.
+/// Returns the record file of a ticket's job within a sweep's folder.
 pub fn kept_file(ticket: &str) -> String {
     let digest = femc_model::Digest::of(ticket.as_bytes()).to_string();
     format!("{KEPT}/{}.json", &digest[..16])
 }
 
-/// What the farm has recorded of a job's attempts.
+/// Fetches the record of a job's attempts from the farm.
 pub async fn of_job(farm: &Farm, job: JobId, logs: Logs) -> Result<JobRecord, Failure> {
     let (shape, attempts) = farm.attempts(job).await?;
     let failures = match logs {

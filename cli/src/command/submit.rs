@@ -1,4 +1,4 @@
-//! `femc submit SCENE|JOB.toml`: queue a job.
+//! `femc submit SCENE|JOB.toml`: queues a job.
 
 use super::client;
 use super::render::{PaintingArgs, ask_for_layers};
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 /// Queue a job on the farm, with all files that its scene needs; prints the job's number
 ///
-/// Of the scene only what the farm does not have is sent: after an edit the changed files, not the textures.
+/// Only files that the farm lacks are uploaded: after an edit the changed files, not the textures.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc submit scenes/roundabout.mgf --frames 1..120 --size 192x108 --spp 24\n  \
@@ -35,10 +35,10 @@ pub struct SubmitArgs {
     name: Option<String>,
     #[command(flatten)]
     notes: NotesArgs,
-    /// 0 to 100, greater goes first [default: 50]
+    /// 0 to 100, greater first [default: 50]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
     priority: Option<u8>,
-    /// Workers that may take it have all of these
+    /// Tags that workers need to run the job, all of them
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     tags: Vec<String>,
     /// Owner of the job [default: the user's name]
@@ -59,13 +59,13 @@ pub struct SubmitArgs {
 #[derive(Serialize)]
 struct Report {
     job: u64,
-    /// `None`: the farm went away before it said.
+    /// `None`: the farm went away before it answered.
     owner: Option<String>,
     scene_bytes: u64,
     sent_bytes: u64,
 }
 
-/// Submit.
+/// Runs `femc submit`.
 pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
     let painting = args.painting.wish()?;
     if painting.is_some() {
@@ -90,7 +90,7 @@ pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
             spec.tags = args.tags;
         }
         let (job, sent) = farm.submit(&scene, own_key(), spec).await?;
-        // Whatever comes now, the job is there, and its number is said: else it would be submitted twice.
+        // The job exists now. Its number is printed even if a later call fails, so that the job is not submitted twice.
         Ok((job, sent, farm.status(job).await.ok().map(|status| status.owner)))
     })?;
     if let (Some(wanted), Some(owner)) = (wanted, &owner)
@@ -112,7 +112,7 @@ pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// A key that no other submission has, also of the same job: every `femc submit` is a job of its own.
+/// Returns a new unique key. With it every `femc submit` creates a job of its own, even of an equal scene.
 pub fn own_key() -> Digest {
     let number = || RandomState::new().hash_one(std::process::id()).to_le_bytes();
     Digest::of(&[number(), number()].concat())

@@ -1,4 +1,4 @@
-//! `femc usage`: usage of the farm, by month and owner.
+//! `femc usage`: prints the usage of the farm, by month and owner.
 
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
@@ -26,7 +26,7 @@ pub struct UsageArgs {
     /// Only this owner
     #[arg(long, value_name = "NAME")]
     owner: Option<String>,
-    /// Print CSV on stdout, the names of the columns first
+    /// Print CSV on stdout, with a header line
     #[arg(long, conflicts_with = "json")]
     csv: bool,
     #[command(flatten)]
@@ -35,7 +35,7 @@ pub struct UsageArgs {
     server: ServerArgs,
 }
 
-/// Print.
+/// Runs `femc usage`.
 pub fn run(args: &UsageArgs, say: Say) -> Result<Exit, Failure> {
     let mut usage = client::block_on(&args.server, async |farm| farm.usage().await)?;
     let is_wanted = |row: &OwnerUsage| {

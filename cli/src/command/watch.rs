@@ -1,4 +1,4 @@
-//! `femc watch JOB`: progress until the job ends, then its exit code.
+//! `femc watch JOB`: shows the progress of a job until it ends, and exits with its exit code.
 
 use super::client::{self, Farm};
 use super::interrupt::Interrupt;
@@ -24,11 +24,11 @@ use std::time::Duration;
     femc watch 7 --preview-to now.png    # a picture of the frame in work, again and again\n\n\
     Ctrl-C leaves the watch (exit code 3) and not the job.")]
 pub struct WatchArgs {
-    /// The job's number, as `submit` printed it
+    /// Job number, as printed by `submit`
     #[arg(value_name = "JOB")]
     job: u64,
-    /// Draw the frame in work above the bar, as far as it is done: with auto on a terminal with room whose COLORTERM says
-    /// that it has 24-bit colors
+    /// Draw the frame in progress above the bar: with auto, if stderr is a large enough terminal whose COLORTERM announces 24-bit
+    /// colors
     #[arg(
         long,
         value_name = "WHEN",
@@ -38,23 +38,22 @@ pub struct WatchArgs {
         default_missing_value = "always"
     )]
     preview: When,
-    /// Keep this file up to date with the frame in work, as far as it is done; at the end it is the last frame
+    /// Keep this file up to date with the frame in progress; at the end it is the last frame
     #[arg(long, value_name = "FILE.png", value_parser = png)]
     preview_to: Option<PathBuf>,
-    /// Print JSON on stdout, for machines: an object a line whenever the job's status changes, or the coordinator goes away or
-    /// comes back
+    /// Print JSON on stdout: one object per line whenever the job's status changes, or the coordinator goes away or comes back
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     server: ServerArgs,
 }
 
-/// Whether to draw.
+/// Whether to draw a preview.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum When {
-    /// Where it can be seen.
+    /// If the terminal supports it.
     Auto,
-    /// Wherever progress is shown.
+    /// On every terminal or pipe that shows progress.
     Always,
     /// Not at all.
     Never,
@@ -79,10 +78,10 @@ fn png(text: &str) -> Result<PathBuf, String> {
     }
 }
 
-/// Between two looks.
+/// Interval between two status calls.
 const EVERY: Duration = Duration::from_millis(250);
 
-/// Watch.
+/// Runs `femc watch`.
 pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
     let job = JobId(args.job);
     let last = client::block_on(&args.server, async |farm| {
@@ -97,17 +96,17 @@ pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
     ended(args, say, &last)
 }
 
-/// Words of the messages that a command prints while it follows a job.
+/// Texts for the messages of a command that follows a job.
 pub(super) struct Words {
-    /// Such as `the watch`.
+    /// Name of the activity, such as `the watch`.
     pub(super) who: &'static str,
-    /// How to go on after Ctrl-C.
+    /// Command to continue after Ctrl-C.
     pub(super) again: String,
 }
 
-/// Shows a job's progress until it has ended, also while the coordinator is away for a while; returns how it stands then.
-/// - `events`: where every change is printed, for machines.
-/// - `views`: which pictures are kept, on a terminal or without one.
+/// Shows a job's progress until the job has ended, even if the coordinator is away for a while. Returns the final status.
+/// - `events`: output for JSON events.
+/// - `views`: destinations of the preview, which depend on whether there is a terminal.
 pub(super) async fn follow(
     farm: &Farm,
     job: JobId,
@@ -171,9 +170,9 @@ pub(super) async fn follow(
     }
 }
 
-/// What `--json` prints: an object a line, when there is something new.
+/// Output of `--json`: one object per line after each change.
 struct Events {
-    /// `None`: it is not wanted.
+    /// `None`: events are not printed.
     say: Option<Say>,
     last: Option<JobStatus>,
 }
@@ -181,24 +180,24 @@ struct Events {
 #[derive(Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 enum Event<'a> {
-    /// How the job stands.
+    /// Status of the job.
     Status { job: &'a JobJson },
     /// The coordinator does not answer.
     Away { server: &'a str },
-    /// It answers again, after so many seconds.
+    /// The coordinator answers again after this many seconds.
     Back { seconds: f64 },
 }
 
 impl Events {
     fn tell(&self, event: &Event<'_>) {
         if let Some(say) = self.say {
-            // An event can always be written.
+            // Serializing an event cannot fail.
             let _ = json::line(say, event);
         }
     }
 
     fn status(&mut self, status: &JobStatus) {
-        // Time alone is nothing new.
+        // A change of the time alone is not an event.
         let now = Some(JobStatus { seconds: 0.0, ..status.clone() });
         if self.last != now {
             self.tell(&Event::Status { job: &JobJson::from(status) });
@@ -215,20 +214,20 @@ impl Events {
     }
 }
 
-/// The last finished frame takes the place of what there was of it; without one, what there was stays.
+/// Replaces the preview by the last finished frame. Without a finished frame, the preview stays.
 async fn last_frame(farm: &Farm, job: JobId, file: &Path) -> Result<(), Failure> {
     let preview = farm.frames(job).await?.last().and_then(FrameRecord::preview);
     match preview {
         Some(preview) => match farm.get_if_there(&preview).await? {
             Some(bytes) => femc_film::file::write_atomic(file, &bytes).map_err(failed),
-            // Its frame is rendered again.
+            // The frame is lost and is rendered again.
             None => Ok(()),
         },
         None => Ok(()),
     }
 }
 
-/// Say how a job has ended.
+/// Reports how a job has ended.
 fn ended(args: &WatchArgs, say: Say, job: &JobStatus) -> Result<Exit, Failure> {
     for line in show::trouble(job) {
         say.warning(line);

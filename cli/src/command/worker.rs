@@ -1,4 +1,4 @@
-//! `femc worker --join URL`: a farm machine.
+//! `femc worker --join URL`: runs a worker of a farm.
 
 use super::client::{Farm, MayCome, Unmet, runtime};
 use super::interrupt::Interrupt;
@@ -15,7 +15,7 @@ use femc_worker::{AtStop, Availability, Cache, Config, MemoryLimit, Pieces, Shif
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Render for a farm, until it is stopped
+/// Run a worker of a farm
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc worker --join http://127.0.0.1:7878\n  \
@@ -27,63 +27,64 @@ use std::time::Duration;
     femc worker --join http://farm:7878 --cache /var/cache/femc --cache-size 50GiB\n\n\
     Ctrl-C or SIGTERM lets the worker finish what it is at, for --grace at most, and gives back the rest; a second one ends it at once. A worker that loses its coordinator looks for it until it is back.")]
 pub struct WorkerArgs {
-    /// The farm's coordinator; of several, with commas between, the one that answers
+    /// URL of the farm's coordinator; several URLs with commas: the one that answers is used
     #[arg(long, value_name = "URL,..", env = "FEMC_SERVER")]
     join: String,
     #[command(flatten)]
     identity: IdentityArgs,
-    /// Threads that render [default: all cores]
+    /// Number of render threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     threads: Option<u32>,
-    /// What the worker offers: jobs with tags go to workers that have them all. `ffmpeg` is added where it is on the PATH
+    /// Tags that the worker offers: jobs with tags go to workers that have all of them. `ffmpeg` is added if it is on the PATH
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     tags: Vec<String>,
     /// Name for people [default: the machine's]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// Folder for results that the coordinator has not acknowledged, or memory: a worker that is killed brings them along
-    /// when it starts again [default: one under the user's state folder, by coordinator and name]
+    /// Folder for results that the coordinator has not acknowledged, or memory: after a restart, the worker uploads the results in
+    /// the folder [default: one under the user's state folder, by coordinator and name]
     #[arg(long, value_name = "DIR", value_parser = outbox::parse)]
     outbox: Option<outbox::Outbox>,
-    /// Resident memory above which it lets go of cached scenes, then gives tasks back: 8G, 512M
+    /// Limit of resident memory above which the worker drops cached scenes, then gives tasks back: 8G, 512M
     ///
-    /// Resident memory above which it lets go of cached scenes, then gives tasks back: 8G, 512M. Before a task begins, the
-    /// worker's size and the most that a task of its kind has added so far must fit. It is no wall: a single task may be
-    /// larger than was expected.
+    /// Limit of resident memory above which the worker drops cached scenes, then gives tasks back: 8G, 512M. A task starts only if
+    /// the worker's size plus the most that a task of this kind has added so far is below the limit. The limit is not strict: a
+    /// single task may need more than expected.
     #[arg(long, value_name = "SIZE", value_parser = memory)]
     memory: Option<Volume>,
-    /// Niceness of the threads that compute, 0 to 19: greater lets others of the machine go first
+    /// Niceness of the render threads, 0 to 19: higher values yield to other programs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=19))]
     nice: Option<u8>,
-    /// Local time in which it takes tasks, like 20:00-06:00 or 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'
+    /// Local time in which the worker takes tasks, like 20:00-06:00 or 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'
     ///
-    /// Local time in which it takes tasks, like 20:00-06:00 or 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'. A window over
-    /// midnight belongs to the day on which it begins. Outside it finishes what it is at, gives back the rest, and stays.
+    /// Local time in which the worker takes tasks, like 20:00-06:00 or 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'. A window over
+    /// midnight belongs to the day on which it begins. Outside of the windows the worker finishes its running task, gives back the
+    /// others, and stays connected.
     #[arg(long, value_name = "WINDOWS")]
     hours: Option<Hours>,
-    /// End, with exit code 0, after so long without a task: 10m, 1h
+    /// Exit with code 0 after this long without a task: 10m, 1h
     #[arg(long, value_name = "DURATION")]
     idle_exit: Option<Budget>,
-    /// Folder that keeps pieces of scenes, also for the next start [default: they are kept in memory]
+    /// Folder that caches pieces of scenes across restarts [default: cache in memory]
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
-    /// Most bytes of such pieces; what was used longest ago goes first [default: 256MiB, with --cache 10GiB]
+    /// Size limit of this cache; the least recently used pieces are removed first [default: 256MiB, with --cache 10GiB]
     #[arg(long, value_name = "SIZE")]
     cache_size: Option<Volume>,
-    /// Once it is told to stop: how long it goes on with what it is at before it gives that back
+    /// On a stop request: time to finish running tasks before they are given back
     #[arg(long, value_name = "DURATION", default_value = "60s")]
     grace: Budget,
     #[command(flatten)]
     metrics: MetricsArgs,
-    /// How long to look for the coordinator at the start
+    /// Time to wait for the coordinator at the start
     #[arg(long, value_name = "DURATION", default_value = "30s")]
     patience: Budget,
 }
 
-/// Between two looks.
+/// Interval between two connection attempts.
 const RETRY: Duration = Duration::from_millis(300);
 
-/// A limit below is a slip of the pen.
+/// Smallest memory limit. A smaller one must be a typing error.
 const LEAST_MEMORY: u64 = 1 << 20;
 
 fn memory(text: &str) -> Result<Volume, String> {
@@ -94,12 +95,12 @@ fn memory(text: &str) -> Result<Volume, String> {
     Ok(volume)
 }
 
-/// On duty within `hours`.
+/// Returns a schedule that takes tasks within `hours`.
 fn shift(hours: Hours) -> Shift {
     Shift::by(move || if hours.hold_now() { Availability::Available } else { Availability::Off })
 }
 
-/// Work.
+/// Runs `femc worker`.
 pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
     let unknown = || usage("--memory: this system does not tell how much memory a process uses; omit it");
     let memory = args.memory.map(|Volume(bytes)| MemoryLimit::of_process(bytes).ok_or_else(unknown)).transpose()?;
@@ -147,7 +148,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
     })
 }
 
-/// What it offers: what was typed, and ffmpeg, if that runs.
+/// Returns the worker's tags: the typed ones, and `ffmpeg` if it can be run.
 fn tags(mut tags: Vec<String>) -> Vec<String> {
     if !tags.iter().any(|tag| tag == FFMPEG) && clip::ffmpeg().is_some() {
         tags.push(FFMPEG.to_owned());
@@ -155,7 +156,7 @@ fn tags(mut tags: Vec<String>) -> Vec<String> {
     tags
 }
 
-/// Where pieces of scenes are kept.
+/// Opens the cache of scene pieces.
 fn pieces(folder: Option<&Path>, size: Option<Volume>) -> Result<Pieces, Failure> {
     let Some(folder) = folder else {
         return Ok(Pieces::memory(size.map_or(Pieces::IN_MEMORY, |size| size.0)));
@@ -165,7 +166,7 @@ fn pieces(folder: Option<&Path>, size: Option<Volume>) -> Result<Pieces, Failure
     Pieces::folder(folder, limit).map_err(wrong)
 }
 
-/// Wait for the coordinator: it may be starting too.
+/// Waits for the coordinator, which may also be starting.
 async fn coordinator(dial: &Dial, url: &str, patience: Budget) -> Result<(), Failure> {
     let begun = Clock.now();
     loop {
@@ -178,7 +179,7 @@ async fn coordinator(dial: &Dial, url: &str, patience: Budget) -> Result<(), Fai
     }
 }
 
-/// The machine's name.
+/// Returns the machine's name.
 fn machine() -> String {
     let file = std::fs::read_to_string("/etc/hostname").ok().map(|name| name.trim().to_owned());
     let named = file.into_iter().chain(std::env::var("HOSTNAME")).chain(std::env::var("COMPUTERNAME"));

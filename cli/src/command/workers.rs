@@ -1,4 +1,4 @@
-//! `femc workers`: who renders.
+//! `femc workers`: lists the farm's workers.
 
 use super::client;
 use crate::args::{FormatArgs, ServerArgs};
@@ -18,7 +18,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
     Intake: open; off (the worker wants no more tasks: it is leaving, or outside its --hours); draining (`femc drain`); offline (it was\n\
     there, and is not now: silent says for how long).")]
 pub struct WorkersArgs {
-    /// List workers that were there and are not now in JSON, too; people see them without this
+    /// Also list former workers in JSON; the table always shows them
     #[arg(long, requires = "json")]
     offline: bool,
     #[command(flatten)]
@@ -27,7 +27,7 @@ pub struct WorkersArgs {
     server: ServerArgs,
 }
 
-/// List.
+/// Runs `femc workers`.
 pub fn run(args: &WorkersArgs, say: Say) -> Result<Exit, Failure> {
     let Crew { there, offline } = client::block_on(&args.server, async |farm| farm.crew().await)?;
     if args.format.json {
@@ -46,7 +46,7 @@ pub fn run(args: &WorkersArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// An element of the list.
+/// A worker in the list.
 #[derive(Serialize)]
 #[serde(untagged)]
 enum Line {

@@ -1,7 +1,7 @@
 //! `femc.toml`: settings by the long names of their flags.
 //!
 //! ```toml
-//! server = "http://farm:7878"     # what many commands share stands at the top
+//! server = "http://farm:7878"     # settings of many commands come first
 //! [coordinator]
 //! listen = "0.0.0.0:7878"
 //! share = ["ann=3", "bob=1"]
@@ -19,20 +19,20 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 
-/// Flags that many commands share, and that may stand at the top.
+/// Flags of many commands, which may be set at the top of the file.
 const SHARED: [&str; 6] = ["server", "identity", "color", "quiet", "verbose", "log-format"];
-/// Where it is looked for, after the folder that the command runs in and the user's own settings.
+/// File that is tried last, after the current folder and the user's own settings.
 const SYSTEM: &str = "/etc/femc/femc.toml";
 
 /// A setting in a file.
 #[derive(Debug)]
 pub struct Setting {
-    /// One, or several where the flag may be given again.
+    /// One value, or several if the flag is repeatable.
     values: Vec<String>,
     place: Place,
 }
 
-/// A file of settings.
+/// A settings file.
 #[derive(Debug)]
 pub struct File {
     path: PathBuf,
@@ -40,11 +40,11 @@ pub struct File {
     services: BTreeMap<&'static str, BTreeMap<String, Setting>>,
 }
 
-/// Something wrong at a byte of the text.
+/// Byte offset and description of a fault in the text.
 type Fault = (usize, String);
 
 impl File {
-    /// The file that is meant: `--config`, `FEMC_CONFIG`, or the first of those that are looked for.
+    /// Returns the settings file: `--config`, `FEMC_CONFIG`, or the first default location that exists.
     pub fn find(args: &[OsString]) -> Option<PathBuf> {
         let typed: Vec<&OsString> = args.iter().skip(1).take_while(|arg| *arg != "--").collect();
         let after = typed.iter().position(|arg| *arg == "--config").and_then(|at| typed.get(at + 1).copied());
@@ -60,7 +60,7 @@ impl File {
         places.into_iter().flatten().find(|path| path.is_file())
     }
 
-    /// Read and check it: each key is a flag's, each value one that the flag takes.
+    /// Reads and checks a file: each key must be a flag, each value one that the flag accepts.
     pub fn read(path: &Path, command: &Command) -> Result<Self, Failure> {
         let text = std::fs::read_to_string(path).map_err(|e| failed(format!("--config {}: {e}", path.display())))?;
         Self::parse(path.to_owned(), &text, command).map_err(|(offset, what)| {
@@ -69,7 +69,7 @@ impl File {
         })
     }
 
-    /// The settings in `text`.
+    /// Parses the settings in `text`.
     fn parse(path: PathBuf, text: &str, command: &Command) -> Result<Self, Fault> {
         let wrong = |e: toml::de::Error| (e.span().map_or(0, |span| span.start), e.message().replace('\n', " "));
         let table = DeTable::parse(text).map_err(wrong)?;
@@ -91,7 +91,7 @@ impl File {
                         return Err((start, format!("unknown key {name}; outside of tables there are {known}")));
                     }
                     let setting = Setting { values: texts(value_here, start)?, place: Place::of(text, start) };
-                    // `gc` has them all, and takes nothing else.
+                    // The command `gc` has all of these flags and no required arguments.
                     check(command, "gc", name, &setting.values).map_err(|what| (value.span().start, what))?;
                     file.shared.insert(name.to_owned(), setting);
                 }
@@ -100,7 +100,7 @@ impl File {
         Ok(file)
     }
 
-    /// The command line with this file's settings as its defaults.
+    /// Returns the command line with this file's settings as its defaults.
     pub fn apply(&self, command: Command) -> Command {
         let command = command.mut_args(|arg| self.default(arg, None));
         command.mut_subcommands(|it| {
@@ -122,13 +122,13 @@ impl File {
         own.or_else(|| self.shared.get(long))
     }
 
-    /// Where the file sets an argument of a command: `femc.toml:3:1`.
+    /// Returns the location where the file sets an argument of a command: `femc.toml:3:1`.
     pub fn place(&self, arg: &Arg, command: Option<&str>) -> Option<String> {
         let Place { line, column } = self.setting(arg, command)?.place;
         Some(format!("{}:{line}:{column}", self.path.display()))
     }
 
-    /// The file itself.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -160,7 +160,7 @@ fn read_table(
     Ok(settings)
 }
 
-/// A value as it would be typed.
+/// Returns a value as it would be typed.
 fn texts(value: &DeValue<'_>, at: usize) -> Result<Vec<String>, Fault> {
     Ok(vec![match value {
         DeValue::String(text) => text.to_string(),
@@ -177,7 +177,7 @@ fn texts(value: &DeValue<'_>, at: usize) -> Result<Vec<String>, Fault> {
     }])
 }
 
-/// Whether the command takes these values for the flag; what it says if not.
+/// Checks that the command accepts these values for the flag. Returns the message if not.
 fn check(command: &Command, name: &str, long: &str, values: &[String]) -> Result<(), String> {
     let mut command = command.clone();
     command.build();
@@ -209,7 +209,7 @@ fn check(command: &Command, name: &str, long: &str, values: &[String]) -> Result
     }
 }
 
-/// Whether clap found fault with what the flag was given: and not with what else is there or not.
+/// Returns whether a clap error is about the value of this flag, and not about other or missing arguments.
 fn is_of_value(error: &clap::Error, long: &str) -> bool {
     let is_kind = matches!(error.kind(), ErrorKind::InvalidValue | ErrorKind::ValueValidation);
     let flag = format!("--{long} ");

@@ -1,7 +1,7 @@
-//! The command line as typed, with what the environment and `femc.toml` say where nothing was typed.
+//! The command line as typed, completed by the environment and `femc.toml`.
 //!
-//! One precedence for every setting: flag, environment, file, default. The file's values become clap's defaults, so that
-//! all that clap knows (kinds, ranges, help) holds for them, too, and nobody reads a setting in two ways.
+//! Every setting has the same precedence: flag, environment, file, default. The file's values become clap's defaults, so that all
+//! checks of clap (kinds, ranges, help) apply to them, too, and each setting is parsed in only one way.
 
 mod file;
 mod setting;
@@ -20,26 +20,26 @@ use std::ffi::OsString;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 use std::path::PathBuf;
 
-/// What comes of a command line.
+/// Result of parsing a command line.
 pub enum Parsed {
-    /// Something is to be done.
+    /// A command to run.
     Command(Box<Cli>),
-    /// The settings were asked for, and are these.
+    /// The requested listing of the settings.
     Shown(String),
 }
 
-/// Why nothing comes of it.
+/// Reasons why a command line is not accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum Refused {
-    /// Wrong usage, or help was asked for.
+    /// Wrong usage, or a request for help.
     #[error(transparent)]
     Usage(#[from] clap::Error),
-    /// The file is wrong.
+    /// The settings file is wrong.
     #[error("{0}")]
     File(Failure),
 }
 
-/// Read `args`, the first of which is the program's name.
+/// Parses `args`, the first of which is the program's name.
 pub fn parse(args: Vec<OsString>) -> Result<Parsed, Refused> {
     let command = with_negative_numbers(with_environment(Cli::command()));
     let args = with_negative_values(&command, args);
@@ -56,7 +56,7 @@ pub fn parse(args: Vec<OsString>) -> Result<Parsed, Refused> {
     Ok(Parsed::Command(Box::new(cli)))
 }
 
-/// Gives each setting of the services a variable: `FEMC_KEEP_ENDED` for `--keep-ended`.
+/// Gives each setting of the services an environment variable: `FEMC_KEEP_ENDED` for `--keep-ended`.
 fn with_environment(command: Command) -> Command {
     let named = |arg: Arg| match arg.get_long() {
         Some(long) if is_setting(&arg) && arg.get_env().is_none() => {
@@ -68,22 +68,22 @@ fn with_environment(command: Command) -> Command {
     SERVICES.into_iter().fold(command, |command, service| command.mut_subcommand(service, |it| it.mut_args(named)))
 }
 
-/// Whether an argument takes a number, a range or another value with a parser of its own: no text and no path.
+/// Returns whether an argument takes a number, a range or another value with its own parser, and not a text or path.
 fn is_parsed(arg: &Arg) -> bool {
     let kind = arg.get_value_parser().type_id();
     let texts = [TypeId::of::<String>(), TypeId::of::<OsString>(), TypeId::of::<PathBuf>()];
     matches!(arg.get_action(), ArgAction::Set | ArgAction::Append) && texts.iter().all(|text| kind != *text)
 }
 
-/// Lets numbers that stand by themselves begin with `-`, so that they reach their own parser.
+/// Lets positional numbers begin with `-`, so that they reach their own parser.
 fn with_negative_numbers(command: Command) -> Command {
     let allowed =
         |arg: Arg| if arg.is_positional() && is_parsed(&arg) { arg.allow_negative_numbers(true) } else { arg };
     command.mut_args(allowed).mut_subcommands(with_negative_numbers)
 }
 
-/// Joins an option and a value that begins with `-` and a digit: `--frames -5..5` becomes `--frames=-5..5`, so that the parser of frames says
-/// what frames are; else clap would look for a flag `-5`. No flag is a digit.
+/// Joins an option and a value that begins with `-` and a digit: `--frames -5..5` becomes `--frames=-5..5`. The parser of frames
+/// can then explain the error. Otherwise clap would search for a flag `-5`. No flag is a digit.
 fn with_negative_values(command: &Command, args: Vec<OsString>) -> Vec<OsString> {
     fn collect(command: &Command, all: &mut BTreeSet<String>) {
         let options = command.get_arguments().filter(|arg| is_parsed(arg));
@@ -115,7 +115,8 @@ fn with_negative_values(command: &Command, args: Vec<OsString>) -> Vec<OsString>
     all
 }
 
-/// Replaces the messages of the standard library's number parsers ("invalid digit found in string") by ones that say what to write.
+/// Replaces the messages of the standard library's number parsers ("invalid digit found in string") by messages that say what to
+/// write.
 fn in_own_words(error: clap::Error) -> clap::Error {
     let text = |kind| match error.get(kind) {
         Some(ContextValue::String(text)) => text.clone(),
@@ -138,7 +139,7 @@ fn in_own_words(error: clap::Error) -> clap::Error {
     clap::Error::raw(error.kind(), message)
 }
 
-/// The same, content with what is there: who wants to see the settings need not give them all.
+/// Returns the command without required arguments: users who print the settings need not give all of them.
 fn lenient(command: Command) -> Command {
     let relaxed = |it: Command| it.subcommand_required(false).arg_required_else_help(false);
     relaxed(command).mut_subcommands(|it| relaxed(it).mut_args(|arg| arg.required(false)))
@@ -149,7 +150,7 @@ mod tests {
     use super::*;
     use clap::error::ErrorKind;
 
-    /// Every command with a name by which it is called.
+    /// Collects every command with its full name.
     fn commands(command: &Command, path: &[String], all: &mut Vec<(Vec<String>, Command)>) {
         all.push((path.to_vec(), command.clone()));
         for inner in command.get_subcommands() {
@@ -188,7 +189,7 @@ mod tests {
                         continue;
                     };
                     let text = error.to_string();
-                    // A value that is not reported as missing was taken.
+                    // If clap only misses other arguments, it has accepted the value.
                     if error.kind() == ErrorKind::MissingRequiredArgument {
                         continue;
                     }

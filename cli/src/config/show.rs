@@ -1,4 +1,4 @@
-//! `--print-config`: what holds, and where it comes from. What is printed can be kept as a `femc.toml`.
+//! `--print-config`: prints the effective settings and their sources. The output can be saved as a `femc.toml`.
 
 use super::file::File;
 use super::setting::{SERVICES, is_setting, values};
@@ -6,7 +6,7 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use std::fmt::Write as _;
 
-/// The settings of the command that was typed; without one, those of the services.
+/// Returns the settings of the typed command; without a command, those of the services.
 pub fn settings(command: &Command, matches: &ArgMatches, file: Option<&File>) -> Result<String, clap::Error> {
     let mut text = match file {
         Some(file) => format!("# from {}\n", file.path().display()),
@@ -29,12 +29,12 @@ fn table(text: &mut String, command: &Command, name: &str, matches: &ArgMatches,
     let own = command.find_subcommand(name).into_iter().flat_map(Command::get_arguments);
     let args: Vec<&Arg> = own.chain(command.get_arguments()).filter(|arg| is_setting(arg)).collect();
     let lines = args.iter().map(|arg| line(arg, name, matches, file));
-    // Writing into a string does not fail.
+    // Writing to a string does not fail.
     let _ = writeln!(text, "\n[{name}]");
     lines.for_each(|line| text.extend([line, "\n".to_owned()]));
 }
 
-/// `lease = "30s"  # FEMC_LEASE`
+/// Returns a line like `lease = "30s"  # FEMC_LEASE`.
 fn line(arg: &Arg, command: &str, matches: &ArgMatches, file: Option<&File>) -> String {
     let long = arg.get_long().unwrap_or_default();
     let Some(values) = values(matches, arg) else { return format!("# {long} is not set") };
@@ -57,7 +57,7 @@ fn toml_of(value: &str) -> String {
     if is_bare { value.to_owned() } else { toml::Value::String(value.to_owned()).to_string() }
 }
 
-/// An address without its password.
+/// Returns an address without its password.
 fn hidden(value: &str) -> String {
     let parts = || {
         let (scheme, rest) = value.split_once("://")?;

@@ -1,4 +1,4 @@
-//! The log on stderr. `FEMC_LOG` (`LEVEL` or `TARGET=LEVEL,...`) overrules the flags.
+//! The log on stderr. `FEMC_LOG` (`LEVEL` or `TARGET=LEVEL,...`) overrides the flags.
 
 #[cfg(feature = "otel")]
 mod otel;
@@ -11,14 +11,14 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// Keeps what ends with the program.
+/// Logging resources that live until the end of the program.
 #[derive(Debug)]
 pub struct Logging {
     #[cfg(feature = "otel")]
     _spans: Option<otel::Spans>,
 }
 
-/// Start logging as the flags say, until what is returned is dropped.
+/// Starts logging as the flags require, until the returned value is dropped.
 pub fn start(cli: &Cli) -> Logging {
     let own = |level| {
         ["femc", "femc_coordinator", "femc_worker", "femc_schedule"]
@@ -49,7 +49,7 @@ pub fn start(cli: &Cli) -> Logging {
         LogFormat::Text => lines.with_ansi(colored).with_target(false).boxed(),
         LogFormat::Json => lines.json().flatten_event(true).with_span_list(false).boxed(),
     };
-    // What a worker's tasks write down goes to their logs, whatever is said on stderr.
+    // Task logs get their records regardless of the filter for stderr.
     let level = LevelFilter::from_level(TASK_LOG_LEVEL);
     let tasks = TaskLogs.with_filter(Targets::new().with_default(LevelFilter::WARN).with_target("femc", level));
     let log = tracing_subscriber::registry().with(lines.with_filter(filter)).with(tasks);
@@ -65,7 +65,8 @@ pub fn start(cli: &Cli) -> Logging {
             Ok(None) => (None, None, None),
             Err(fault) => (None, None, Some(fault)),
         };
-        // Spans of the farm, whatever is said on stderr; not those of the network's layers, which the exporter makes itself.
+        // Export the spans of the farm regardless of the filter for stderr. Spans of the network layers are not exported: the
+        // exporter itself creates some.
         let own = Targets::new().with_targets(own(tracing::Level::INFO));
         log.with(layer.map(|layer| layer.with_filter(own))).init();
         if let Some(fault) = fault {

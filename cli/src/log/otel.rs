@@ -1,5 +1,5 @@
-//! Spans of tasks and sessions to an OpenTelemetry collector: OTLP over gRPC, in programs built with the feature `otel`, where
-//! `OTEL_EXPORTER_OTLP_ENDPOINT` names one. The other usual `OTEL_` variables hold, too.
+//! Export of spans of tasks and sessions to an OpenTelemetry collector: OTLP over gRPC, in programs built with the feature `otel`,
+//! if `OTEL_EXPORTER_OTLP_ENDPOINT` is set. The other usual `OTEL_` variables also apply.
 
 use crate::command::Cli;
 use opentelemetry::trace::TracerProvider as _;
@@ -11,11 +11,11 @@ use tracing::Subscriber;
 use tracing_opentelemetry::OpenTelemetryLayer;
 use tracing_subscriber::registry::LookupSpan;
 
-/// Sends spans until it is dropped, the last ones then.
+/// Exporter of spans. Sends the last spans when it is dropped.
 #[derive(Debug)]
 pub struct Spans {
     provider: SdkTracerProvider,
-    /// What the exporter talks on; after the provider, which sends once more as it ends.
+    /// Runtime of the exporter. Must be dropped after the provider, which sends once more when it ends.
     _runtime: Runtime,
 }
 
@@ -27,21 +27,21 @@ impl Drop for Spans {
     }
 }
 
-/// Why no spans are sent.
+/// Reasons why spans are not exported.
 #[derive(Debug, thiserror::Error)]
 pub enum NoSpans {
-    /// The settings make no sense.
+    /// The settings are invalid.
     #[error("OTEL_EXPORTER_OTLP_ENDPOINT: {0}")]
     Exporter(#[from] ExporterBuildError),
-    /// There is no thread for it.
+    /// The exporter's thread cannot be started.
     #[error("no thread can be started: {0}")]
     Thread(#[from] std::io::Error),
 }
 
-/// What collects spans.
+/// Layer that collects spans.
 type Layer<S> = OpenTelemetryLayer<S, Tracer>;
 
-/// What sends spans, and the layer that collects them; `None`: no collector is named.
+/// Starts the exporter. Returns it with the layer that collects spans; `None`: no collector is set.
 pub fn start<S>(cli: &Cli) -> Result<Option<(Spans, Layer<S>)>, NoSpans>
 where
     S: Subscriber + for<'a> LookupSpan<'a>,

@@ -1,28 +1,28 @@
-//! Pictures on a terminal: half blocks, two pixels a character, colors of 24 bits.
+//! Pictures on a terminal: half blocks, two pixels per character, 24-bit colors.
 
 use femc_film::{Image, Picture, ToneCurve};
 use std::fmt::Write as _;
 
-/// Characters for a picture.
+/// Available size for a picture in characters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
-    /// Characters of a line.
+    /// Characters per line.
     columns: u32,
-    /// Lines.
+    /// Number of lines.
     lines: u32,
 }
 
 impl Room {
-    /// Widest picture, characters: it is for a glance.
+    /// Largest width in characters, enough for a glance.
     const WIDEST: u32 = 60;
-    /// Lines that stay for other things.
+    /// Lines reserved for other output.
     const BESIDE: u32 = 4;
-    /// Where less is left than this there is no room.
+    /// Smallest useful size.
     const LEAST: Self = Self { columns: 20, lines: 5 };
-    /// Where nobody knows the terminal's size.
+    /// Default size if the terminal's size is not known.
     const USUAL: Self = Self { columns: Self::WIDEST, lines: 20 };
 
-    /// What the terminal at stderr has, if that is enough.
+    /// Returns the available size of the terminal at stderr, if it is large enough.
     pub fn at_stderr() -> Option<Self> {
         let (lines, columns) = console::Term::stderr().size_checked()?;
         let room = Self {
@@ -32,35 +32,35 @@ impl Room {
         (room.columns >= Self::LEAST.columns && room.lines >= Self::LEAST.lines).then_some(room)
     }
 
-    /// The same; what is usual where it is not known or not enough.
+    /// Returns the available size of the terminal at stderr, or the default size if it is not known or too small.
     pub fn at_stderr_or_usual() -> Self {
         Self::at_stderr().unwrap_or(Self::USUAL)
     }
 }
 
-/// `image` as lines of half blocks that fit into `room`, each with its colors and back to none at its end.
-/// - `curve`: how radiances are shown; black stays black.
+/// Returns `image` as lines of half blocks that fit into `room`. Each line sets its colors and resets them at its end.
+/// - `curve`: tone curve; black stays black.
 pub fn draw(image: &Image, curve: ToneCurve, room: Room) -> String {
-    // Square pixels: two to a line.
+    // A line has two rows of pixels, so that pixels are square.
     let by_height = u64::from(2 * room.lines) * u64::from(image.width) / u64::from(image.height.max(1));
     let small = image.shrunk_to(room.columns.min(by_height.max(1) as u32));
     blocks(&curve.picture(&small), room.lines)
 }
 
-/// The first `most` lines; only a film that is a hundred times as high as wide has more.
+/// Returns the first `most` lines. Only a film that is a hundred times as high as wide has more.
 fn blocks(picture: &Picture, most: u32) -> String {
     let width = picture.width.max(1) as usize;
     let rows = picture.pixels.chunks(2 * width).take(most as usize);
     rows.map(|rows| line(rows, width)).collect::<Vec<_>>().join("\n")
 }
 
-/// One or two rows of pixels.
+/// Returns one line from one or two rows of pixels.
 fn line(rows: &[[u8; 3]], width: usize) -> String {
     let (upper, lower) = rows.split_at(width.min(rows.len()));
     let (mut text, mut last) = (String::new(), None);
     for (i, &above) in upper.iter().enumerate() {
         let below = lower.get(i).copied();
-        // Writing into a string does not fail.
+        // Writing to a string does not fail.
         if last != Some((above, below)) {
             let [r, g, b] = above;
             let _ = write!(text, "\x1b[38;2;{r};{g};{b}m");

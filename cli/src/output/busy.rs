@@ -7,12 +7,12 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Between two lines where stderr is no terminal.
+/// Interval between two lines if stderr is not a terminal.
 const PLAIN_EVERY: Duration = Duration::from_secs(5);
-/// Between two pictures of a spinner.
+/// Interval between two states of the spinner.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Says on stderr what is being done and for how long, until it is dropped: a spinner on a terminal, else a line every few seconds;
+/// Display of the current work and its duration on stderr, until dropped: a spinner on a terminal, else a line every few seconds;
 /// nothing with `--quiet`.
 #[derive(Debug)]
 pub struct Busy(Form);
@@ -25,8 +25,8 @@ enum Form {
 }
 
 impl Busy {
-    /// Begins.
-    /// - `work`: what is being done, like "a pilot compares the methods".
+    /// Starts the display.
+    /// - `work`: description of the work, like "a pilot compares the methods".
     pub fn new(say: Say, work: &'static str) -> Self {
         if say.quiet() {
             return Self(Form::Silent);
@@ -45,7 +45,7 @@ impl Busy {
                 say.note(format!("{work}, {} s", begun.elapsed().as_secs()));
             }
         };
-        // Without a thread there are no lines; the work goes on.
+        // If the thread cannot be started there are no lines, and the work continues.
         let lines = std::thread::Builder::new().name("busy".to_owned()).spawn(tell).ok();
         Self(Form::Lines { done, lines })
     }

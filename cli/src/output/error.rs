@@ -1,9 +1,9 @@
-//! The error of a frame in words: a block in which no sample met light has none.
+//! Text for the error of a frame. A block in which no sample met light has no error.
 
 use super::human;
 use femc_model::Blocks;
 
-/// `relative error 3.2 %, 2 of 4 blocks met no light`; `None`: nothing was measured.
+/// Returns text like `relative error 3.2 %, 2 of 4 blocks met no light`; `None`: nothing was measured.
 pub fn words(relative_error: Option<f64>, blocks: Option<Blocks>) -> Option<String> {
     let is_dark = blocks.is_some_and(Blocks::is_dark);
     let error = relative_error.filter(|error| error.is_finite() && !is_dark);
@@ -13,7 +13,7 @@ pub fn words(relative_error: Option<f64>, blocks: Option<Blocks>) -> Option<Stri
     (!text.is_empty()).then_some(text)
 }
 
-/// Blocks without light in words; `None`: all have some.
+/// Returns text about blocks without light; `None`: all blocks have some.
 pub fn unlit(Blocks { all, unlit }: Blocks) -> Option<String> {
     match (unlit, all) {
         (0, _) => None,

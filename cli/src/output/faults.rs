@@ -1,10 +1,10 @@
-//! Faults of a scene, one by one and by kinds: the same words in `femc check` and in front of a render.
+//! Faults of a scene, one by one and by kind, with the same text in `femc check` and before a render.
 
 use super::{Say, human};
 use femc_scene::check::Severity;
 use serde::Serialize;
 
-/// Places that a line names besides the first.
+/// Number of locations that a line names besides the first.
 const PLACES: usize = 3;
 
 /// Kind of the errors of a scene that cannot be imported.
@@ -17,7 +17,7 @@ pub struct Line {
     pub severity: Severity,
     /// Kind, in the words of `--json`.
     pub kind: String,
-    /// File, as it is reached from here.
+    /// File, as reached from the current folder.
     pub file: String,
     /// Line, from 1; 0: the file as a whole.
     pub line: u32,
@@ -50,11 +50,11 @@ pub struct Kind {
     pub kind: String,
     /// Number of faults.
     pub count: usize,
-    /// The first places, `file:line`.
+    /// First locations, `file:line`.
     pub places: Vec<String>,
 }
 
-/// The lines of each severity and kind, errors first, else in order of their first places.
+/// Groups the lines by severity and kind: errors first, then in the order of their first locations.
 fn groups(lines: &[Line]) -> Vec<Vec<&Line>> {
     let mut groups: Vec<Vec<&Line>> = Vec::new();
     for line in lines {
@@ -67,7 +67,7 @@ fn groups(lines: &[Line]) -> Vec<Vec<&Line>> {
     groups
 }
 
-/// The kinds, with counts and first places.
+/// Returns the kinds, with counts and first locations.
 pub fn kinds(lines: &[Line]) -> Vec<Kind> {
     let kind = |group: Vec<&Line>| Kind {
         severity: group[0].severity,
@@ -78,7 +78,7 @@ pub fn kinds(lines: &[Line]) -> Vec<Kind> {
     groups(lines).into_iter().map(kind).collect()
 }
 
-/// Choice of the lines that are printed.
+/// Choice of the printed lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
     /// A line for each kind.
@@ -87,9 +87,9 @@ pub enum Detail {
     All,
 }
 
-/// The faults as a list on stdout.
+/// Prints the faults as a list on stdout.
 pub fn print(say: Say, lines: &[Line], detail: Detail) {
-    // Each error of the import is a fault of its own.
+    // Errors of the import all have one kind, so each of them gets a line.
     let detail = if lines.iter().any(|line| line.kind == IMPORT) { Detail::All } else { detail };
     let groups = match detail {
         Detail::All => lines.iter().map(|line| vec![line]).collect(),
@@ -110,8 +110,8 @@ pub fn print(say: Say, lines: &[Line], detail: Detail) {
     }
 }
 
-/// The faults on stderr, in front of something else that is done: a line for each kind.
-/// - `scene`: the file that `femc check` takes.
+/// Prints the faults on stderr before the command continues: a line for each kind.
+/// - `scene`: file for the hint to run `femc check`.
 pub fn remark(say: Say, lines: &[Line], scene: &str) {
     let more = format!("`femc check {scene} --all` lists them");
     for group in groups(lines) {
@@ -119,8 +119,8 @@ pub fn remark(say: Say, lines: &[Line], scene: &str) {
     }
 }
 
-/// The first fault of a kind, the number of faults, and places of others.
-/// - `more`: what shows the places that are left out.
+/// Returns the first fault of a kind, the number of faults, and further locations.
+/// - `more`: hint how to list the omitted locations.
 fn told(group: &[&Line], more: &str) -> String {
     let Line { kind, message, advice, .. } = group[0];
     let advice = if advice.is_empty() { String::new() } else { format!("; {advice}") };
@@ -128,7 +128,7 @@ fn told(group: &[&Line], more: &str) -> String {
     format!("{times}{message}{advice}{}", others(group, more))
 }
 
-/// Places of a kind besides the first.
+/// Returns the locations of a kind besides the first.
 fn others(group: &[&Line], left_out: &str) -> String {
     let mut places: Vec<String> = group.iter().map(|line| line.place()).collect();
     places.dedup();

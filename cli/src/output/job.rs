@@ -1,4 +1,4 @@
-//! Jobs, for people and for machines.
+//! Text and JSON about jobs.
 
 use super::{Say, Snapshot, human};
 use crate::exit::Exit;
@@ -8,7 +8,7 @@ pub use femc_service::view::{JobJson, wait};
 use femc_service::view::{above_target, state, unit};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// The exit code of a job that has ended; `None` while it goes on.
+/// Returns the exit code of a job that has ended; `None` if it has not.
 pub fn exit(state: JobState) -> Option<Exit> {
     match state {
         JobState::Queued | JobState::Running | JobState::Paused => None,
@@ -17,8 +17,8 @@ pub fn exit(state: JobState) -> Option<Exit> {
     }
 }
 
-/// How far a job is, for the progress display.
-/// - `stop`: the job's stopping rule where it is known; without it the time left is told from finished frames alone.
+/// Returns the progress of a job, for the progress display.
+/// - `stop`: stopping rule of the job, if known; without it the remaining time is estimated from finished frames only.
 pub fn snapshot(job: &JobStatus, stop: Option<Stop>) -> Snapshot {
     let in_work: f64 = job.active.iter().map(|frame| part_done(frame, stop)).sum();
     let open = f64::from(job.frames_total.saturating_sub(job.frames_done));
@@ -35,14 +35,15 @@ pub fn snapshot(job: &JobStatus, stop: Option<Stop>) -> Snapshot {
     }
 }
 
-/// The part of a frame in work that is done, 0..1. With an error as the goal, from the error of the round before:
-/// it falls with the square root of the samples.
+/// Returns the finished part of a frame in progress, 0..1. If the goal is an error, it is estimated from the error of the previous
+/// round, which is proportional to one over the square root of the samples.
 fn part_done(frame: &FrameProgress, stop: Option<Stop>) -> f64 {
     let of_round = f64::from(frame.tiles_done) / f64::from(frame.tiles_total.max(1));
     match (stop, frame.relative_error) {
         (Some(Stop::Spp(_)), _) => of_round / f64::from(frame.rounds.max(1)),
         (Some(Stop::Error(goal)), Some(reached)) if reached > goal && reached.is_finite() => {
-            // The rounds double: this one began at 2^(round - 1) first rounds and ends at 2^round.
+            // Each round doubles the samples: the current round began at 2^(round - 1) times the samples of the first round and
+            // ends at 2^round times.
             let begun = (goal / reached).powi(2);
             (begun * (1.0 + of_round)).min(0.95)
         }
@@ -50,7 +51,7 @@ fn part_done(frame: &FrameProgress, stop: Option<Stop>) -> f64 {
     }
 }
 
-/// The table of `femc jobs`.
+/// Returns the table of `femc jobs`.
 pub fn table(jobs: &[JobStatus]) -> String {
     let rows: Vec<Vec<String>> = jobs
         .iter()
@@ -71,15 +72,15 @@ pub fn table(jobs: &[JobStatus]) -> String {
     human::table(&["job", "name", "state", "frames", "priority", "owner", "workers", "time", "age"], &rows)
 }
 
-/// How long ago it was submitted; `None`: not known.
+/// Returns the time since the job was submitted; `None`: not known.
 fn age(job: &JobStatus) -> Option<String> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
     let age = now.saturating_sub(Duration::from_millis(job.submitted_date.or(job.submitted)?));
     Some(human::seconds(age.as_secs_f64()))
 }
 
-/// The error of a job's worst frame in words: `relative error 7.10 % in frame 3, above the target of 5.00 %: still rendering`; `None`: no
-/// frame was measured.
+/// Returns text about the error of a job's worst frame, like
+/// `relative error 7.10 % in frame 3, above the target of 5.00 %: still rendering`; `None`: no frame was measured.
 pub fn error(job: &JobStatus) -> Option<String> {
     let mut text = super::error::words(job.relative_error, job.blocks)?;
     if let Some(worst) = job.worst_frame {
@@ -101,20 +102,20 @@ pub fn error(job: &JobStatus) -> Option<String> {
     Some(text)
 }
 
-/// The finished frame whose attempts took the most processor time.
+/// Returns the finished frame whose attempts took the most processor time.
 pub fn slowest(frames: &[FrameRecord]) -> Option<(u32, Times)> {
     let times = frames.iter().filter(|record| record.frame != Stage::OF_JOB);
     let times = times.filter_map(|record| Some((record.frame, record.times?)));
     times.reduce(|slowest, next| if next.1.processor > slowest.1.processor { next } else { slowest })
 }
 
-/// The slowest frame in words: `frame 3: 8.10 s of processor time, 9.20 s at workers, 42.0 s waiting`.
+/// Returns text about the slowest frame, like `frame 3: 8.10 s of processor time, 9.20 s at workers, 42.0 s waiting`.
 pub fn slowest_words(frame: u32, times: &Times) -> String {
     let [processor, wall, waiting] = [times.processor, times.wall, times.waiting].map(human::seconds);
     format!("frame {frame}: {processor} of processor time, {wall} at workers, {waiting} waiting")
 }
 
-/// All about one job.
+/// Returns a full description of one job.
 pub fn describe(say: Say, job: &JobStatus) -> String {
     let mut lines = vec![say.heading(&format!("job {} ({}): {}", job.job, job.name, state(job)))];
     let mut frames = format!("frames   {} of {} done", job.frames_done, job.frames_total);
@@ -164,7 +165,7 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
     lines.join("\n")
 }
 
-/// Why a job has failed, or some task of it is out of attempts.
+/// Returns lines about why a job has failed, or why some of its tasks are quarantined.
 pub fn trouble(job: &JobStatus) -> Vec<String> {
     let whole = job.failure.iter().map(|failure| format!("failed: {failure}"));
     let tasks = job

@@ -1,4 +1,4 @@
-//! What is said, and where: results on stdout, progress, notes and errors on stderr.
+//! Output of the program: results on stdout; progress, notes and errors on stderr.
 
 pub mod blocks;
 mod busy;

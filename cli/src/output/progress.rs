@@ -5,25 +5,25 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal};
 use std::time::Duration;
 
-/// Between two lines where stderr is no terminal.
+/// Interval between two lines if stderr is not a terminal.
 const PLAIN_EVERY: Duration = Duration::from_secs(5);
-/// The bar counts in this many steps.
+/// Number of steps of the bar.
 const STEPS: u64 = 1000;
 
-/// How far a job is.
+/// Progress of a job.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Snapshot {
     /// Frames finished.
     pub frames_done: u64,
     /// Frames of the job.
     pub frames: u64,
-    /// Tiles finished of the frames in work, this round.
+    /// Finished tiles of the frames in progress, in this round.
     pub tiles_done: u64,
-    /// Tiles of the frames in work, this round.
+    /// Tiles of the frames in progress, in this round.
     pub tiles: u64,
     /// Camera samples finished.
     pub samples: u64,
-    /// The part of the work that is done, 0..=1, as well as it is known.
+    /// Estimated part of the work that is done, 0..=1.
     pub fraction: f64,
     /// Relative error of the worst frame so far.
     pub relative_error: Option<f64>,
@@ -33,7 +33,7 @@ pub struct Snapshot {
     pub blocks: Option<Blocks>,
 }
 
-/// Progress on stderr: a bar on a terminal, else a line every few seconds.
+/// Progress display on stderr: a bar on a terminal, else a line every few seconds.
 #[derive(Debug)]
 pub struct Progress {
     form: Form,
@@ -49,19 +49,19 @@ enum Form {
     Lines { say: Say, last: Moment, away: Option<Moment> },
 }
 
-/// Where progress is shown.
+/// Destination of the progress display.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Nowhere.
     None,
-    /// As lines in a file or a pipe.
+    /// Lines in a file or a pipe.
     Lines,
-    /// On a terminal, in place.
+    /// A terminal, redrawn in place.
     Terminal,
 }
 
 impl Progress {
-    /// A progress display that suits stderr; silent with `--quiet`.
+    /// Creates a progress display that suits stderr; silent with `--quiet`.
     pub fn new(say: Say, clock: Clock) -> Self {
         let form = if say.quiet() {
             Form::Silent
@@ -76,14 +76,14 @@ impl Progress {
         Self { form, clock, started: clock.now(), at_start: None }
     }
 
-    /// Show where the job is now.
+    /// Shows the current progress of a job.
     pub fn show(&mut self, now: &Snapshot) {
         let first = *self.at_start.get_or_insert(*now);
         let elapsed = self.clock.since(self.started);
         self.at(now.fraction, || line(&first, now, elapsed));
     }
 
-    /// Show a text and the part of the work that is done, 0..=1.
+    /// Shows a text and the finished part of the work, 0..=1.
     pub fn at(&mut self, fraction: f64, text: impl FnOnce() -> String) {
         match &mut self.form {
             Form::Silent => {}
@@ -100,7 +100,7 @@ impl Progress {
         }
     }
 
-    /// Show instead that nothing is heard for now.
+    /// Shows a text instead of the progress, while the coordinator is away.
     pub fn away(&mut self, text: &str) {
         match &mut self.form {
             Form::Silent => {}
@@ -114,7 +114,7 @@ impl Progress {
         }
     }
 
-    /// Something is heard again.
+    /// Shows a text when the coordinator is back.
     pub fn back(&mut self, text: &str) {
         if let Form::Lines { say, away, .. } = &mut self.form {
             *away = None;
@@ -122,7 +122,7 @@ impl Progress {
         }
     }
 
-    /// Where it is shown.
+    /// Returns the destination of the display.
     pub fn stage(&self) -> Stage {
         match &self.form {
             Form::Silent => Stage::None,
@@ -131,7 +131,7 @@ impl Progress {
         }
     }
 
-    /// Show a picture: above the bar, in the place of the one before, or as lines.
+    /// Shows a picture: above the bar, replacing the previous one, or as lines.
     pub fn picture(&mut self, text: &str) {
         match &self.form {
             Form::Silent => {}
@@ -140,7 +140,7 @@ impl Progress {
         }
     }
 
-    /// Take the bar away.
+    /// Removes the bar.
     pub fn finish(&mut self) {
         if let Form::Bar(bar) = &self.form {
             bar.finish_and_clear();
@@ -154,7 +154,7 @@ impl Drop for Progress {
     }
 }
 
-/// `frame 3/24, tile 12/40, 1.25 M samples/s, error 7.1 %, 2 min 3 s left`.
+/// Returns text like `frame 3/24, tile 12/40, 1.25 M samples/s, error 7.1 %, 2 min 3 s left`.
 fn line(first: &Snapshot, now: &Snapshot, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64();
     let mut text = format!("frame {}/{}, tile {}/{}", now.frames_done, now.frames, now.tiles_done, now.tiles);

@@ -4,7 +4,7 @@ use crate::exit::Failure;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
-/// How much to say, and whether in color.
+/// Verbosity and colors of the output.
 #[derive(Clone, Copy, Debug)]
 pub struct Say {
     quiet: bool,
@@ -13,7 +13,7 @@ pub struct Say {
 }
 
 impl Say {
-    /// From the flags and the terminal.
+    /// Creates the output settings from the flags and the terminal.
     pub fn new(common: &CommonArgs) -> Self {
         let plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
         let colored = |terminal: bool| match common.color {
@@ -28,64 +28,64 @@ impl Say {
         }
     }
 
-    /// Whether what is on stderr may have 24-bit colors.
+    /// Returns whether stderr may have 24-bit colors.
     pub fn true_color(self) -> bool {
         let color = std::env::var("COLORTERM").unwrap_or_default();
         self.colored_err && matches!(color.as_str(), "truecolor" | "24bit")
     }
 
-    /// Whether only errors and results are wanted.
+    /// Returns whether only errors and results are wanted.
     pub fn quiet(self) -> bool {
         self.quiet
     }
 
-    /// A result: a line on stdout. A reader that has gone away (`| head`) is no fault.
+    /// Prints a result as a line on stdout. A closed reader (`| head`) is not an error.
     pub fn result(self, line: impl Display) {
         let _ = writeln!(io::stdout().lock(), "{}", obeyed(&line.to_string()));
     }
 
-    /// A document on stdout, to the letter.
+    /// Prints a document verbatim on stdout.
     pub fn document(self, text: &str) {
         let _ = writeln!(io::stdout().lock(), "{text}");
     }
 
-    /// A picture of characters on stderr, with its colors; not with `--quiet`.
+    /// Prints a picture made of characters with its colors on stderr, except with `--quiet`.
     pub fn picture(self, text: &str) {
         if !self.quiet {
             let _ = writeln!(io::stderr().lock(), "{text}");
         }
     }
 
-    /// A remark on stderr, not with `--quiet`.
+    /// Prints a note on stderr, except with `--quiet`.
     pub fn note(self, line: impl Display) {
         if !self.quiet {
             let _ = writeln!(io::stderr().lock(), "{}", obeyed(&line.to_string()));
         }
     }
 
-    /// A warning on stderr.
+    /// Prints a warning on stderr.
     pub fn warning(self, line: impl Display) {
         let label = Style::Yellow.paint("warning:", self.colored_err);
         let _ = writeln!(io::stderr().lock(), "{}", obeyed(&format!("femc: {label} {line}")));
     }
 
-    /// The failure that ends the command.
+    /// Prints the failure that ends the command.
     pub fn failure(self, failure: &Failure) {
         let label = Style::Red.paint("error:", self.colored_err);
         let _ = writeln!(io::stderr().lock(), "{}", obeyed(&format!("femc: {label} {failure}")));
     }
 
-    /// A heading for stdout.
+    /// Styles a heading for stdout.
     pub fn heading(self, text: &str) -> String {
         Style::Bold.paint(text, self.colored_out)
     }
 
-    /// Text on stdout that tells of a fault.
+    /// Styles text on stdout that reports a fault.
     pub fn bad(self, text: &str) -> String {
         Style::Red.paint(text, self.colored_out)
     }
 
-    /// Text on stdout that asks for attention.
+    /// Styles text on stdout that needs attention.
     pub fn doubtful(self, text: &str) -> String {
         Style::Yellow.paint(text, self.colored_out)
     }

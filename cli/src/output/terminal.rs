@@ -1,10 +1,11 @@
-//! Text for a terminal. Names in scenes, jobs and logs are written by others: control characters in them are shown, not obeyed.
+//! Text for a terminal. Names in scenes, jobs and logs come from other people, so control characters in them are shown and not
+//! executed.
 
 use femc_reports::human;
 use std::hash::{BuildHasher as _, RandomState};
 use std::sync::LazyLock;
 
-/// The few styles in use.
+/// Styles of text.
 #[derive(Clone, Copy, Debug)]
 pub enum Style {
     Red,
@@ -12,18 +13,19 @@ pub enum Style {
     Bold,
 }
 
-/// Mark in a text that starts a style; the letter behind it names the style. It is random, so that no text of a scene can contain it.
+/// Marker that starts a style in a text; the letter after it names the style. It is random, so that no text of a scene can contain
+/// it.
 static MARK: LazyLock<String> = LazyLock::new(|| format!("\u{1b}<{:016x}>", RandomState::new().hash_one("style")));
 
-/// The end of a style.
+/// Letter that ends a style.
 const PLAIN: char = '-';
 
 impl Style {
-    /// Letters of the styles, and the sequences that a terminal obeys.
+    /// Letters of the styles, and their terminal sequences.
     const ALL: [(char, &'static str); 4] =
         [('r', "\x1b[1;31m"), ('y', "\x1b[1;33m"), ('b', "\x1b[1m"), (PLAIN, "\x1b[0m")];
 
-    /// The text in this style, for [`obeyed`]; as it is without colors.
+    /// Returns the text in this style, for [`obeyed`]; unchanged without colors.
     pub fn paint(self, text: &str, colored: bool) -> String {
         let letter = match self {
             Self::Red => 'r',
@@ -34,7 +36,7 @@ impl Style {
     }
 }
 
-/// The text as a terminal is to have it: styles become sequences, every other control character is shown instead of obeyed.
+/// Converts a text for the terminal: styles become sequences, and every other control character is made visible.
 pub fn obeyed(text: &str) -> String {
     let mut parts = text.split(MARK.as_str());
     let mut all = human::inert(parts.next().unwrap_or_default());
@@ -51,7 +53,8 @@ pub fn obeyed(text: &str) -> String {
     all
 }
 
-/// JSON with every character that a terminal obeys as `\uXXXX`, the same document: such characters are in strings alone.
+/// Replaces every terminal control character in JSON by `\uXXXX`. The document stays the same, because such characters only occur
+/// in strings.
 pub fn json(text: &str) -> String {
     text.chars().fold(String::with_capacity(text.len()), |mut all, c| {
         if human::steers(c) && c != '\n' {

@@ -1,4 +1,4 @@
-//! A scene or a job file on the command line, with the settings typed, made into a plan.
+//! Resolved request: a scene or job file of the command line with the typed settings, checked and planned.
 
 use super::picture::attributes;
 use super::{JobFile, Stated};
@@ -22,27 +22,27 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What was asked for, checked against its scene.
+/// A request that has been checked against its scene.
 pub struct Asked {
     /// The scene file.
     pub path: PathBuf,
-    /// The same from the root of its files.
+    /// The scene file, with the root of its files.
     place: ScenePath,
-    /// The scene, overrides applied.
+    /// The scene with its overrides.
     pub source: Source,
-    /// Files that the scene is made of, relative to its root.
+    /// Files of the scene, relative to its root.
     pub files: Vec<String>,
-    /// The settings as meant.
+    /// The resolved settings.
     pub settings: Settings,
-    /// What would run.
+    /// Stages and tasks to run.
     pub plan: Plan,
-    /// Why it is that method, where the settings left it open and it was asked ([`Self::decided`]).
+    /// Reason for the method, if the settings left it open and [`Self::decided`] chose it.
     pub choice: Option<Choice>,
-    /// Whether the frames were chosen (or are all of a still).
+    /// Whether the frames were chosen or are all frames of the clip.
     pub frames_chosen: FramesChosen,
-    /// Embedded workers, >= 1.
+    /// Number of embedded workers, >= 1.
     pub workers: u32,
-    /// Threads of each worker; `None`: all cores.
+    /// Threads per worker; `None`: all cores.
     pub threads: Option<u32>,
     /// Priority of a job file.
     pub priority: Option<u8>,
@@ -54,16 +54,16 @@ pub struct Asked {
     pub notes: JobNotes,
 }
 
-/// Who chose the frames.
+/// Origin of the choice of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FramesChosen {
     /// `--frames`, or `frames` of the job file.
     Typed,
-    /// Nobody: all frames of the clip.
+    /// No choice: all frames of the clip.
     All,
 }
 
-/// A scene as its file has it, for one request or for the many of a sweep.
+/// An imported scene without settings, for one request or for all variants of a sweep.
 pub struct Base {
     /// The scene file.
     pub path: PathBuf,
@@ -72,14 +72,14 @@ pub struct Base {
     source: Source,
 }
 
-/// Frames a second of a clip of a scene that does not say.
+/// Frame rate of a clip, per second, if the scene does not set one.
 const DEFAULT_RATE: f64 = 24.0;
 
-/// Where a setting stands, by its long name or `set.SELECTOR`; `None`: on the command line.
+/// Function that returns the location of a setting, given its long name or `set.SELECTOR`; `None`: on the command line.
 pub type At<'a> = &'a dyn Fn(&str) -> Option<String>;
 
 impl Base {
-    /// Import the scene at `path`, whose files are below `root` (`None`: below its folder). Warnings go to stderr.
+    /// Imports the scene at `path`, whose files are below `root` (`None`: below its folder). Warnings go to stderr.
     pub fn open(path: &Path, root: Option<&Path>, say: Say) -> Result<Self, Failure> {
         let (place, loaded) = load(path, root)?;
         let warnings = loaded.warnings.iter().map(|warning| line_of(&place, warning, Severity::Warning));
@@ -90,19 +90,18 @@ impl Base {
         Ok(Self { path: path.to_owned(), place, files: loaded.files, source })
     }
 
-    /// Files of the scene besides the scene file.
+    /// Returns the number of the scene's files besides the scene file.
     #[cfg(feature = "openjd")]
     pub fn others(&self) -> usize {
         self.files.len().saturating_sub(1)
     }
 
-    /// Check settings against the scene, and plan.
+    /// Checks settings against the scene, and plans.
     pub fn ask(&self, typed: &SettingsArgs, at: At<'_>) -> Result<Asked, Failure> {
         self.ask_for(settings(typed), typed, at)
     }
 
-    /// Check settings against the scene, and plan. Of what was `typed` only the frames, the layers, the workers and the threads
-    /// count.
+    /// Checks settings against the scene, and plans. Only the frames, layers, workers and threads are taken from `typed`.
     fn ask_for(&self, settings: Settings, typed: &SettingsArgs, at: At<'_>) -> Result<Asked, Failure> {
         let named = |key: &str| at(key).unwrap_or_else(|| format!("--{}", key.split('.').next().unwrap_or(key)));
         let source = self.source.variant(&settings.overrides);
@@ -139,7 +138,7 @@ impl Base {
 }
 
 impl Asked {
-    /// Read the scene or job file `path`, apply `typed`, plan. Warnings of the import go to stderr.
+    /// Reads the scene or job file `path`, applies `typed`, and plans. Warnings of the import go to stderr.
     pub fn open(path: &Path, typed: SettingsArgs, say: Say) -> Result<Self, Failure> {
         let asked = if is_job(path) {
             let mut job = JobFile::load(path).map_err(usage)?;
@@ -162,7 +161,7 @@ impl Asked {
         Ok(asked)
     }
 
-    /// Read the scene at `path`, and plan the frame in the file `replayed` once more.
+    /// Reads the scene at `path`, and plans to render the frame in the file `replayed` again.
     pub fn again(path: &Path, replayed: &Path, typed: SettingsArgs, say: Say) -> Result<Self, Failure> {
         if is_job(path) {
             return Err(usage("--replay: give the scene of the frame; a job file has settings of its own"));
@@ -189,7 +188,7 @@ impl Asked {
         Ok(asked)
     }
 
-    /// With a method, where the settings leave it open: a pilot says whether a first pass is worth what it takes.
+    /// Chooses the method if the settings leave it open: a pilot finds out whether a first pass saves time.
     pub fn decided(mut self, say: Say) -> Result<Self, Failure> {
         if self.settings.method != femc_pipeline::Method::Auto {
             return Ok(self);
@@ -212,8 +211,8 @@ impl Asked {
         Ok(self)
     }
 
-    /// Warns if nothing in the scene emits light, and of layers that nothing in the scene can make.
-    /// Layers that belong to a set (`guides`, `lamps`) have no warning: a set has all of its layers in every scene.
+    /// Warns if nothing in the scene emits light, and of layers that will be black in this scene. There is no warning for layers
+    /// that belong to a set (`guides`, `lamps`), because a set has all of its layers in every scene.
     pub fn warn(&self, say: Say) {
         let scene = self.scene();
         if scene.is_dark() {
@@ -233,7 +232,7 @@ impl Asked {
         }
     }
 
-    /// Layers of a name in this scene; none where it has none.
+    /// Returns the layers of a preset in this scene; empty if the scene has none.
     fn layers_of(&self, preset: Preset) -> Vec<Layer> {
         preset.layers(lamp_labels(self.scene()).iter().map(String::as_str)).unwrap_or_default()
     }
@@ -245,22 +244,22 @@ impl Asked {
         }
     }
 
-    /// The scene file below the root of its files.
+    /// Returns the scene file with the root of its files.
     pub fn place(&self) -> &ScenePath {
         &self.place
     }
 
-    /// The scene, overrides applied.
+    /// Returns the scene with its overrides.
     pub fn scene(&self) -> &Arc<Scene> {
         self.source.scene()
     }
 
-    /// The scene file from the root of its files.
+    /// Returns the path of the scene file, relative to the root of its files.
     pub fn entry(&self) -> String {
         self.place.entry().to_owned()
     }
 
-    /// Name of a job file, or the scene file's stem: the first part of frames' names.
+    /// Returns the name of the job file, or the scene file's stem. It is the first part of the frames' file names.
     pub fn name(&self) -> String {
         self.given_name.clone().unwrap_or_else(|| self.stem())
     }
@@ -269,12 +268,13 @@ impl Asked {
         self.path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
-    /// Film size, pixels.
+    /// Returns the film size in pixels.
     pub fn film(&self) -> [u32; 2] {
         [self.plan.tiling.width, self.plan.tiling.height]
     }
 
-    /// Frames a second of a clip of these frames: of every third frame it plays at a third of the scene's rate, in real time.
+    /// Returns the frame rate per second for a clip of these frames. A clip of every third frame has a third of the scene's rate,
+    /// so that it plays in real time.
     pub fn rate(&self, frames: &[u32]) -> f64 {
         let fps = self.scene().clip.map_or(DEFAULT_RATE, |clip| clip.fps);
         let step = match frames {
@@ -284,7 +284,7 @@ impl Asked {
         (fps / step).clamp(0.01, 100.0)
     }
 
-    /// All files of the scene as artifacts.
+    /// Returns all files of the scene as artifacts.
     pub fn parcel(&self) -> Result<Parcel, Failure> {
         let cannot = |e: &dyn std::fmt::Display| failed(format!("{}: cannot be packed: {e}", self.path.display()));
         let bundle = Bundle::gather(&self.place.disk(), &self.files).map_err(|e| cannot(&e))?;
@@ -292,7 +292,7 @@ impl Asked {
     }
 }
 
-/// Plans; development builds may cut stages otherwise than a plan does.
+/// Plans the request. Development builds may cut stages in other ways than the plan.
 fn planned(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result<Plan, PlanError> {
     let mut plan = femc_pipeline::plan(scene, settings, frames)?;
     if let Some(fan) = pretended(Pretense::Fan).and_then(|fan| fan.parse().ok()) {
@@ -304,8 +304,8 @@ fn planned(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result
     Ok(plan)
 }
 
-/// Import the scene at `path`, whose files are below `root` (`None`: below its folder). Faults name files as they are
-/// reached from here; of several the first is named.
+/// Imports the scene at `path`, whose files are below `root` (`None`: below its folder). Errors name files as they are reached from
+/// the current folder. Of several errors, the message shows the first.
 pub fn load(path: &Path, root: Option<&Path>) -> Result<(ScenePath, Loaded), Failure> {
     let place = locate(path, root)?;
     let loaded = place.load_or_list().map_err(|failed_import| {
@@ -325,7 +325,7 @@ pub fn load(path: &Path, root: Option<&Path>) -> Result<(ScenePath, Loaded), Fai
     Ok((place, loaded))
 }
 
-/// The scene at `path`, which is a file, whose files are below `root` (`None`: below its folder).
+/// Checks that `path` is a file, and returns it with its root (`None`: its folder).
 pub fn locate(path: &Path, root: Option<&Path>) -> Result<ScenePath, Failure> {
     match path.metadata() {
         Err(e) => return Err(usage(format!("{}: {e}; give the path of a scene file", path.display()))),
@@ -347,7 +347,8 @@ pub fn locate(path: &Path, root: Option<&Path>) -> Result<ScenePath, Failure> {
     place.map_err(usage)
 }
 
-/// A `vary` of what is not there would fail on the farm, in every frame and without its place in the file.
+/// Checks that the selector of each `vary` exists. Otherwise the job would fail on the farm, in every frame and without a location
+/// in the file.
 fn known_varies(place: &ScenePath, scene: &Scene) -> Result<(), Failure> {
     for vary in &scene.varies {
         if let Err(e) = scene.get(&vary.selector) {
@@ -358,20 +359,20 @@ fn known_varies(place: &ScenePath, scene: &Scene) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A warning or note of the import.
+/// Returns the line for a warning or note of the import.
 pub fn line_of(place: &ScenePath, warning: &Warning, severity: Severity) -> Line {
     let Warning { at, oddity } = warning;
     let (kind, file) = (oddity.kind().to_owned(), shown(place, &at.file));
     Line { severity, kind, file, line: at.line, column: None, message: oddity.to_string(), advice: String::new() }
 }
 
-/// A message that begins with a file below the scene's root, made to begin with that file's path from here.
+/// Extends the file name at the beginning of a message: from the path below the scene's root to the path from the current folder.
 pub fn shown(place: &ScenePath, message: impl std::fmt::Display) -> String {
     let root = place.root();
     if root == Path::new(".") { message.to_string() } else { format!("{}/{message}", root.display()) }
 }
 
-/// Settings that do not fit the scene are wrong usage; a scene that cannot be looked at is the scene's fault.
+/// Maps settings that do not fit the scene to wrong usage, and scenes that cannot be prepared to failure.
 fn refused(path: &Path, e: &PlanError, named: &dyn Fn(&str) -> String) -> Failure {
     let message = format!("{}: {e}", path.display());
     match e {
@@ -389,12 +390,12 @@ fn refused(path: &Path, e: &PlanError, named: &dyn Fn(&str) -> String) -> Failur
     }
 }
 
-/// Whether a path on the command line is a job file.
+/// Returns whether a path on the command line is a job file.
 pub fn is_job(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "toml")
 }
 
-/// The settings typed, with the contract's defaults.
+/// Returns the typed settings, completed by the defaults.
 fn settings(typed: &SettingsArgs) -> Settings {
     let default = Settings::default();
     let stop = match (typed.spp, typed.error, typed.time) {
@@ -420,7 +421,7 @@ fn settings(typed: &SettingsArgs) -> Settings {
     }
 }
 
-/// Layers of light and features as typed: `--layers` names both, `--layer` adds layers behind those of `--layers`.
+/// Returns the typed layers and features. `--layers` contains both. The layers of `--layer` come after those of `--layers`.
 fn layers(
     scene: &Scene,
     typed: &SettingsArgs,
@@ -435,7 +436,7 @@ fn layers(
         }
         let preset = name.trim().parse().and_then(|preset: Preset| preset.layers(lamps.iter().map(String::as_str)));
         let preset = preset.map_err(|e| usage(format!("{}: {e}", named("layers"))))?;
-        // What is asked for twice is one layer.
+        // A layer that is requested twice is written once.
         let new = preset.into_iter().filter(|layer| !all.contains(layer));
         all.extend(new.collect::<Vec<_>>());
     }

@@ -1,4 +1,4 @@
-//! Lamps of a scene whose light is hard to find.
+//! Warnings about lamps whose light is hard to find.
 
 use super::asked::{Asked, shown};
 use crate::output::{Say, human};
@@ -6,9 +6,9 @@ use femc_emission::{IntensityDistribution, PhotometryError, PhotometryKind};
 use femc_pipeline::Method;
 use femc_scene::{Fault, Photometry, PhotometryType, bent_light, lamps_without_light};
 
-/// Lamps that are named one by one; `femc check` has all.
+/// Number of lamps that are listed one by one; `femc check` lists all.
 const NAMED: usize = 4;
-/// Share of the lamps' light through solids and from mirrors from which on the first pass is not exact.
+/// Share of the lamps' light through solids and from mirrors above which the first pass is inexact.
 const MUCH: f64 = 0.1;
 
 impl Asked {
@@ -37,7 +37,7 @@ impl Asked {
         }
     }
 
-    /// Warns of light that the first pass alone does not have where it belongs.
+    /// Warns of light that the first pass alone loses or puts in wrong places.
     pub fn warn_of_bent_light(&self, say: Say) {
         let bent = bent_light(self.scene(), &flux);
         if bent.share >= MUCH {
@@ -52,12 +52,12 @@ impl Asked {
     }
 }
 
-/// Luminous flux of a photometric file as the renderer reads it, lm.
+/// Returns the luminous flux of a photometric file, as the renderer reads it, lm.
 pub fn flux(photometry: &Photometry) -> f64 {
     table_of(photometry).map_or(0.0, |table| table.flux())
 }
 
-/// Intensities of a photometric file as the renderer reads them.
+/// Returns the intensities of a photometric file, as the renderer reads them.
 pub fn table_of(photometry: &Photometry) -> Result<IntensityDistribution, PhotometryError> {
     let kind = match photometry.kind {
         PhotometryType::A => PhotometryKind::A,

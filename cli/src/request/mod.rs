@@ -1,5 +1,5 @@
-//! The request: what the user meant. Values are parsed and in range (`values`); what depends on the scene
-//! (which frames there are, which cameras) is resolved here, when the scene is known.
+//! The request. Its values are parsed and in range (`values`). Everything that depends on the scene, such as the existing frames
+//! and cameras, is resolved here.
 
 mod asked;
 mod job_file;

@@ -1,4 +1,4 @@
-//! A frame as a PNG: tone-mapped, with what an EXR file says of itself in text chunks, so that a second run knows it.
+//! A frame as a PNG: tone-mapped, with the metadata of an EXR file in text chunks, so that a later run recognizes it.
 
 use crate::exit::{Failure, failed};
 use crate::values::{Exposure, ev};
@@ -6,17 +6,17 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::Path;
 
-/// Attribute with the exposure that was asked for.
+/// Attribute with the requested exposure.
 pub const EXPOSURE: &str = "femc:exposure";
-/// Attribute with the exposure value that the picture has.
+/// Attribute with the resulting exposure value.
 pub const EV: &str = "femc:ev";
 
-/// Signature and header chunk of a PNG file; what follows is in front of the pixels.
+/// Size of the signature and header chunk of a PNG file. Further chunks follow, before the pixels.
 const HEAD: usize = 8 + 25;
-/// Most bytes of a text chunk that is read.
+/// Largest text chunk that is read, in bytes.
 const MOST_TEXT: usize = 1 << 20;
 
-/// The frame of an EXR file as a PNG file.
+/// Converts the frame of an EXR file to a PNG file.
 pub fn of_exr(bytes: &[u8], exposure: Exposure) -> Result<Vec<u8>, Failure> {
     let file = femc_film::exr::decode(Cursor::new(bytes)).map_err(failed)?;
     let curve = exposure.curve_of(&file.image);
@@ -26,12 +26,12 @@ pub fn of_exr(bytes: &[u8], exposure: Exposure) -> Result<Vec<u8>, Failure> {
     Ok(with_texts(&png, own.chain(shown)))
 }
 
-/// What the file of a frame, EXR or PNG, says of itself; `None`: it is not there, or says nothing.
+/// Reads the metadata of a frame's file, EXR or PNG; `None`: the file is missing or has none.
 pub fn attributes(path: &Path) -> Option<BTreeMap<String, String>> {
     if is_picture(path) { texts(&std::fs::read(path).ok()?) } else { femc_film::exr::read_attributes(path).ok() }
 }
 
-/// Whether frames of this name are pictures.
+/// Returns whether a frame with this file name is a picture.
 pub fn is_picture(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"))
 }
@@ -40,7 +40,7 @@ fn with_texts(png: &[u8], texts: impl Iterator<Item = (String, String)>) -> Vec<
     let (head, rest) = png.split_at(HEAD.min(png.len()));
     let mut out = head.to_vec();
     for (name, text) in texts {
-        // Keyword, not compressed, no language, no translation.
+        // Keyword, then five zero bytes: end of the keyword, no compression, no language, no translation.
         let data = [b"iTXt", name.as_bytes(), &[0; 5], text.as_bytes()].concat();
         out.extend(((data.len() - 4) as u32).to_be_bytes());
         out.extend(&data);

@@ -1,4 +1,4 @@
-//! What the file of a frame says of how it was rendered: enough to draw its samples again.
+//! Metadata in a frame's file about its rendering, sufficient to draw its samples again.
 
 use crate::exit::{Failure, failed};
 use femc_film::exr::ATTRIBUTE_PREFIX;
@@ -6,11 +6,11 @@ use femc_pipeline::{Settings, Stop};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What the file says.
+/// The metadata of a frame.
 pub struct Stated {
-    /// Its settings, with the division of its samples if it had a time.
+    /// Settings, with the allocation of samples if the frame had a time budget.
     pub settings: Settings,
-    /// Number of the frame.
+    /// Frame number.
     pub frame: u32,
     /// Digest of the scene.
     pub scene: String,
@@ -19,7 +19,7 @@ pub struct Stated {
 }
 
 impl Stated {
-    /// By the attributes of a file.
+    /// Parses the attributes of a file.
     pub fn of(file: &Path, attributes: &BTreeMap<String, String>) -> Result<Self, Failure> {
         let fault = |name: &str, what: &str| {
             failed(format!(

@@ -9,7 +9,7 @@ pub struct Budget {
     pub seconds: f64,
 }
 
-/// Why a text is no time budget.
+/// Error of a text that is not a time budget.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no duration; write it like 90s, 2m, 1h30m, 7d or 500ms")]
 pub struct BudgetError(String);
@@ -27,7 +27,7 @@ impl FromStr for Budget {
     }
 }
 
-/// The sum of number-unit pairs; `None` where a number or a unit is missing or unknown.
+/// Returns the sum of number-unit pairs; `None` if a number or a unit is missing or unknown.
 fn with_units(mut rest: &str) -> Option<f64> {
     let mut seconds = 0.0;
     while !rest.is_empty() {

@@ -1,26 +1,26 @@
-//! How bright a picture of a frame is.
+//! Exposure of a picture of a frame.
 
 use femc_film::{Image, Levels, ToneCurve};
 use std::fmt;
 use std::str::FromStr;
 
-/// What is shown as middle gray, before the tone curve.
+/// Value of middle gray, before the tone curve.
 const MIDDLE_GRAY: f64 = 0.18;
-/// Mean luminance, cd/m2, that EV 0 at ISO 100 is for: K / 100 with the K = 12.5 of light meters.
+/// Mean luminance for EV 0 at ISO 100, cd/m2: K / 100 with the K = 12.5 of light meters.
 const EV_ZERO: f64 = 0.125;
 
-/// An exposure as asked for.
+/// A requested exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Exposure {
     /// The log-average luminance becomes middle gray.
     #[default]
     Auto,
-    /// Exposure value at ISO 100: a luminance of 2^EV / 8 cd/m2 becomes middle gray, and each step halves the picture's light.
+    /// Exposure value at ISO 100: a luminance of 2^EV / 8 cd/m2 becomes middle gray, and each step up halves the picture's light.
     Ev(f64),
 }
 
 impl Exposure {
-    /// The tone curve for frames with these levels.
+    /// Returns the tone curve for frames with these levels.
     pub fn curve(self, levels: &Levels) -> ToneCurve {
         match self {
             Self::Auto => ToneCurve::of_levels(levels),
@@ -28,13 +28,13 @@ impl Exposure {
         }
     }
 
-    /// The tone curve for one frame.
+    /// Returns the tone curve for one frame.
     pub fn curve_of(self, image: &Image) -> ToneCurve {
         self.curve(&Levels::of_image(image))
     }
 }
 
-/// The exposure value of a curve.
+/// Returns the exposure value of a curve.
 pub fn ev(curve: ToneCurve) -> f64 {
     (MIDDLE_GRAY / (EV_ZERO * f64::from(curve.exposure))).log2()
 }

@@ -4,15 +4,15 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-/// A choice of frames as typed: runs with commas between them, each `K`, `A..B` (inclusive) or `A..B+STEP`; or as Open Job
-/// Description writes it, `A-B` or `A-B:STEP`. Frames count from 1.
+/// A choice of frames as typed: runs separated by commas, each `K`, `A..B` (inclusive) or `A..B+STEP`; or in the notation of Open
+/// Job Description, `A-B` or `A-B:STEP`. Frames count from 1.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frames {
-    /// At least one.
+    /// Runs, at least one.
     runs: Vec<Run>,
 }
 
-/// Frames of one distance.
+/// Frames with a constant step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Run {
     first: u32,
@@ -21,21 +21,21 @@ struct Run {
 }
 
 impl Run {
-    /// The last frame that a step reaches.
+    /// Returns the last frame of the run.
     fn end(self) -> u32 {
         self.first + (self.last - self.first) / self.step * self.step
     }
 
-    /// Its frames, ascending.
+    /// Returns the frames of the run, ascending.
     fn frames(self) -> impl Iterator<Item = u32> {
         (self.first..=self.end()).step_by(self.step as usize)
     }
 }
 
-/// Why a choice of frames is refused.
+/// Reasons why a choice of frames is refused.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FramesError {
-    /// Not of these forms.
+    /// The text has none of these forms.
     #[error(
         "`{0}` names no frames; write K, A..B (B included) or A..B+STEP, with commas between several, like 7, 1..120, 1..120+10 or 1,5,9"
     )]
@@ -46,22 +46,22 @@ pub enum FramesError {
     /// Last before first.
     #[error("the last frame, {last}, comes before the first, {first}; write A..B with A <= B")]
     Backwards {
-        /// As typed.
+        /// First frame, as typed.
         first: u32,
-        /// As typed.
+        /// Last frame, as typed.
         last: u32,
     },
-    /// Beyond the clip.
+    /// A frame is beyond the clip.
     #[error("frame {wanted} is beyond the clip, which has {}", Available(*.available))]
     Beyond {
-        /// Largest frame asked for.
+        /// Largest requested frame.
         wanted: u32,
-        /// Frames of the clip.
+        /// Number of frames of the clip.
         available: u32,
     },
 }
 
-/// "one frame", "frames 1..120".
+/// Text "one frame" or "frames 1..120".
 struct Available(u32);
 
 impl fmt::Display for Available {
@@ -74,12 +74,12 @@ impl fmt::Display for Available {
 }
 
 impl Frames {
-    /// This frame, >= 1.
+    /// Creates a choice of this frame, >= 1.
     pub fn one(frame: u32) -> Self {
         Self { runs: vec![Run { first: frame, last: frame, step: 1 }] }
     }
 
-    /// These frames, ascending and not empty, if they have the same distance all along.
+    /// Creates a choice of these frames, ascending and not empty, if they have a constant step.
     #[cfg(feature = "openjd")]
     pub fn of(frames: &[u32]) -> Option<Self> {
         let (&first, &last) = (frames.first()?, frames.last()?);
@@ -88,26 +88,26 @@ impl Frames {
         is_even.then(|| Self { runs: vec![Run { first, last, step }] })
     }
 
-    /// These frames, ascending and not empty, in any distances.
+    /// Creates a choice of these frames, ascending and not empty, with any steps.
     #[cfg(feature = "openjd")]
     pub fn list(frames: &[u32]) -> Self {
         let single = |&frame: &u32| Run { first: frame, last: frame, step: 1 };
         Self::of(frames).unwrap_or_else(|| Self { runs: frames.iter().map(single).collect() })
     }
 
-    /// Its frames that `frames` has, ascending; the first that it has not, otherwise.
+    /// Returns the chosen frames, ascending, if `frames` has all of them; else the first missing frame.
     /// - `frames`: ascending.
     pub fn among(&self, frames: &[u32]) -> Result<Vec<u32>, u32> {
         let mut named = BTreeSet::new();
         for frame in self.runs.iter().flat_map(|run| run.frames()) {
-            // The first missing frame ends this, so that a run of billions is not walked.
+            // The search ends at the first missing frame, so that a run of billions is not iterated.
             frames.binary_search(&frame).map_err(|_| frame)?;
             named.insert(frame);
         }
         Ok(named.into_iter().collect())
     }
 
-    /// The frames named, ascending and each once, given that the clip has frames 1..=`available`.
+    /// Returns the chosen frames, ascending and without duplicates, of a clip with the frames 1..=`available`.
     pub fn resolve(&self, available: u32) -> Result<Vec<u32>, FramesError> {
         let last = self.runs.iter().map(|run| run.end()).max().unwrap_or(0);
         if last > available {
@@ -150,7 +150,7 @@ impl FromStr for Frames {
     }
 }
 
-/// One run of a choice; without an error where it has no form.
+/// Parses one run of a choice. The error is `None` if the text has none of the forms.
 fn run(text: &str) -> Result<Run, Option<FramesError>> {
     let number = |text: &str| text.trim().parse::<u32>().map_err(|_| None);
     let ends = text.split_once("..").map(|ends| (ends, '+')).or_else(|| Some((text.split_once('-')?, ':')));

@@ -1,17 +1,17 @@
 use std::str::FromStr;
 
-/// When a worker takes tasks: windows of a week, in local time.
+/// Working hours of a worker: windows of a week, in local time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hours(Vec<Window>);
 
-/// A time of the day on some days, which may reach into the next day.
+/// A window of time on some days, which may end on the next day.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Window {
-    /// First and last day on which it begins, Monday 0; the last may come before the first.
+    /// First and last day on which the window begins, Monday 0; the last may come before the first.
     days: (u8, u8),
-    /// Minutes since midnight, 0..1440.
+    /// Begin in minutes since midnight, 0..1440.
     begin: u16,
-    /// Minutes, > 0.
+    /// Length in minutes, > 0.
     length: u16,
 }
 
@@ -19,7 +19,7 @@ struct Window {
 const DAY: u16 = 24 * 60;
 const NAMES: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
 
-/// Why a text is no hours.
+/// Error of a text that does not describe working hours.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no window of time; write it like 20:00-06:00, or Mon-Fri 20:00-06:00, several with a comma between")]
 pub struct HoursError(String);
@@ -52,7 +52,7 @@ fn days_of(text: &str) -> Option<(u8, u8)> {
     }
 }
 
-/// `HH:MM`, up to 24:00.
+/// Parses `HH:MM`, up to 24:00.
 fn minutes(text: &str) -> Option<u16> {
     let (hours, minutes) = text.split_once(':')?;
     let part = |text: &str| if text.len() <= 2 { text.parse::<u16>().ok() } else { None };
@@ -62,9 +62,9 @@ fn minutes(text: &str) -> Option<u16> {
 }
 
 impl Hours {
-    /// Whether the windows hold this minute.
+    /// Returns whether a window contains this minute.
     /// - `day`: Monday 0 to Sunday 6.
-    /// - `minute`: of the day.
+    /// - `minute`: minute of the day.
     pub fn hold(&self, day: u8, minute: u16) -> bool {
         self.0.iter().any(|window| {
             let is_day = |day: u8| {
@@ -72,13 +72,13 @@ impl Hours {
                 if first <= last { (first..=last).contains(&day) } else { day >= first || day <= last }
             };
             let today = is_day(day) && (window.begin..window.begin.saturating_add(window.length)).contains(&minute);
-            // What began yesterday and reaches into today.
+            // Part of a window that began yesterday and ends today.
             let rest = (window.begin + window.length).saturating_sub(DAY);
             today || (is_day((day + 6) % 7) && minute < rest)
         })
     }
 
-    /// Whether the windows hold the present, local time.
+    /// Returns whether a window contains the present, in local time.
     pub fn hold_now(&self) -> bool {
         let now = jiff::Zoned::now();
         let minute = u16::from(now.hour().unsigned_abs()) * 60 + u16::from(now.minute().unsigned_abs());

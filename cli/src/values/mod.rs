@@ -1,4 +1,4 @@
-//! Values as they are typed, on the command line or in a file: parsed, and in range.
+//! Values as they are typed, on the command line or in a file: parsed and in range.
 
 mod duration;
 mod exposure;

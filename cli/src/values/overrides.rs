@@ -1,7 +1,6 @@
 use std::str::FromStr;
 
-/// `--set SELECTOR=VALUE`: a scalar of the scene and what it becomes. Whether the selector names
-/// anything is known only with the scene.
+/// `--set SELECTOR=VALUE`: a scalar of the scene and its new value. The selector can only be checked with the scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Override {
     /// Selector, `medium.fog.sigma_s`.
@@ -10,13 +9,13 @@ pub struct Override {
     pub value: f64,
 }
 
-/// Why a text is no override.
+/// Error of a text that is not an override.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum OverrideError {
-    /// No `=`, or nothing before it.
+    /// The text has no `=`, or nothing before it.
     #[error("write SELECTOR=VALUE, like medium.fog.sigma_s=0.03")]
     Form,
-    /// The value is no finite number.
+    /// The value is not a finite number.
     #[error("`{0}` is no finite number; write SELECTOR=VALUE, like medium.fog.sigma_s=0.03")]
     Value(String),
 }

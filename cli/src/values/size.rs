@@ -2,7 +2,7 @@ use serde::Deserialize;
 use serde::de::{Deserializer, Error as _};
 use std::str::FromStr;
 
-/// Largest film side, pixels: the limit of the scene format's textures, used for films too.
+/// Largest film side in pixels: the scene format's limit for textures, also used for films.
 const LARGEST: u32 = 32768;
 
 /// A film size, `320x180`.
@@ -14,10 +14,10 @@ pub struct Size {
     pub height: u32,
 }
 
-/// Why a text is no film size.
+/// Error of a text that is not a film size.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SizeError {
-    /// Not two numbers.
+    /// The text does not consist of two numbers.
     #[error("`{0}` is no film size; write width x height in pixels, like 320x180")]
     Form(String),
     /// A side is zero or too large.

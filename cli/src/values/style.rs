@@ -1,4 +1,4 @@
-//! Painted styles: those that come with the program, and those that people bring.
+//! Painted styles: those that come with the program, and the user's own.
 
 use crate::exit::{Failure, failed, usage};
 use femc_film::{FilmError, Picture};
@@ -6,22 +6,22 @@ use femc_reports::human;
 use femc_stylize::{GuideFrame, Planes, frames, styles};
 use std::path::{Path, PathBuf};
 
-/// A painting, and the render that it lies over.
+/// A painting, and the render under it.
 #[derive(Debug)]
 pub struct Style {
-    /// Red, green and blue, 0..1.
+    /// The painting in red, green and blue, 0..1.
     pub painting: Planes,
-    /// Of the painting's size.
+    /// The render, of the painting's size.
     pub source: GuideFrame,
-    /// What errors call the source.
+    /// Name of the source in error messages.
     pub source_path: PathBuf,
     /// Share of the painting's pixels that are transparent, fully or in part.
     pub transparent: f64,
 }
 
 impl Style {
-    /// A style that comes with the program, by its name, or the painting at `style`; it lies over the render at `source`, or over that of
-    /// the styles that come with the program.
+    /// Reads a style that comes with the program, by its name, or the painting at `style`. The painting lies over the render at
+    /// `source`, or over that of the styles that come with the program.
     pub fn read(style: &Path, source: Option<&Path>) -> Result<Self, Failure> {
         let bytes = match style.to_str().and_then(styles::png) {
             Some(painting) => painting.to_vec(),
@@ -43,7 +43,7 @@ impl Style {
         }
     }
 
-    /// Warning on the painting's transparency; `None`: it is opaque.
+    /// Returns a warning about the painting's transparency; `None`: it is opaque.
     pub fn paper(&self) -> Option<String> {
         (self.transparent > 0.0).then(|| {
             format!(
@@ -73,7 +73,7 @@ impl Style {
     }
 }
 
-/// A frame whose layers guide.
+/// Reads a frame whose layers are guides.
 pub fn guide_frame(flag: &str, path: &Path) -> Result<GuideFrame, Failure> {
     GuideFrame::read(path).map_err(|error| match error {
         FilmError::File { path, cause } if cause.kind() == std::io::ErrorKind::NotFound => {

@@ -1,7 +1,7 @@
 use femc_model::{JobId, StageKind, TaskKey};
 use std::str::FromStr;
 
-/// Tasks of a job: of a frame, of a round of it, of the stages of a kind, of one stage, or one.
+/// Selection of tasks of a job: those of a frame, of a round, of the stages of a kind, of one stage, or a single one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tasks {
     frame: Option<u32>,
@@ -12,16 +12,16 @@ pub struct Tasks {
     index: Option<u32>,
 }
 
-/// A job, and tasks of it.
+/// A job, and a selection of its tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JobTasks {
-    /// The job, or what jobs share.
+    /// The job, or the shared job.
     pub job: JobId,
-    /// All of its tasks, unless some are named.
+    /// Selected tasks; all of the job if none are named.
     pub tasks: Tasks,
 }
 
-/// Why a text names no tasks.
+/// Error of a text that does not name tasks.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` names no task; write a frame, like 12, or a task, like 12.0/render.0/3, or all tasks of a kind, like 12.0/image"
@@ -29,7 +29,7 @@ pub struct JobTasks {
 pub struct TasksError(String);
 
 impl Tasks {
-    /// Whether the task is one of these.
+    /// Returns whether the task is selected.
     pub fn hold(&self, task: &TaskKey) -> bool {
         fn is<T: PartialEq + Copy>(wanted: Option<T>, found: T) -> bool {
             wanted.is_none_or(|wanted| wanted == found)
@@ -91,7 +91,7 @@ mod tests {
         let of = |frame, number, kind, index| (Stage { frame, round: 0, number, kind }, index);
         let mut tasks =
             vec![of(3, 0, StageKind::Render, 1), of(3, 1, StageKind::Image, 0), of(3, 1, StageKind::Image, 1)];
-        // Groups and the levels of a frame, stills, the sheet and the clip of a job.
+        // Reduce stages: groups and levels of a frame; stills, sheet and clip of a job.
         tasks.extend([2, 3].map(|number| of(3, number, StageKind::Reduce, 0)));
         tasks.extend([4, 5, 6].map(|number| of(Stage::OF_JOB, number, StageKind::Encode, 0)));
         let jobs = [JobId(7), JobId::shared(7)];

@@ -5,7 +5,7 @@ use std::str::FromStr;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Volume(pub u64);
 
-/// Why a text is no number of bytes.
+/// Error of a text that is not a number of bytes.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no number of bytes; write it like 512M or 10GiB")]
 pub struct VolumeError(String);

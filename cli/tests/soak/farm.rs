@@ -1,4 +1,4 @@
-//! The processes: a coordinator, or two on one PostgreSQL, and workers that reach them each on ways of its own.
+//! Processes of the soak test: a coordinator, or two on one PostgreSQL, and workers that connect through proxies of their own.
 
 use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
@@ -12,11 +12,11 @@ use crate::common::{Place, Running};
 
 pub const WORKERS: usize = 3;
 
-/// A process that is started again and again.
+/// A process that is restarted repeatedly.
 pub struct Seat {
     pub name: String,
     line: String,
-    /// What it says.
+    /// File of its stderr.
     words: PathBuf,
     life: Mutex<Life>,
 }
@@ -24,7 +24,7 @@ pub struct Seat {
 #[derive(Default)]
 struct Life {
     process: Option<Running>,
-    /// A fault has stopped it.
+    /// Whether a fault has stopped it with SIGSTOP.
     stands: bool,
 }
 
@@ -33,7 +33,7 @@ impl Seat {
         Self { name: name.into(), line, words: place.path(&format!("{name}.err")), life: Mutex::default() }
     }
 
-    /// The process; one that has ended by itself is no part of the plan.
+    /// Returns the running process. Panics if the process ended by itself, which the test does not allow.
     fn process<'a>(&self, life: &'a mut Life) -> Option<&'a mut Running> {
         let process = life.process.as_mut()?;
         assert!(
@@ -53,7 +53,7 @@ impl Seat {
         self.lock().process.get_or_insert_with(|| place.start_as(&self.name, &self.line));
     }
 
-    /// SIGKILL; `false` if it was not there.
+    /// Sends SIGKILL. Returns `false` if the process was not running.
     pub fn kill(&self) -> bool {
         let mut life = self.lock();
         let was_there = self.process(&mut life).is_some_and(Running::kill);
@@ -61,21 +61,21 @@ impl Seat {
         was_there
     }
 
-    /// SIGSTOP; `false` if it was not there.
+    /// Sends SIGSTOP. Returns `false` if the process was not running.
     pub fn stop(&self) -> bool {
         let mut life = self.lock();
         life.stands = true;
         self.process(&mut life).map(|process| process.signal("STOP")).is_some()
     }
 
-    /// SIGCONT.
+    /// Sends SIGCONT.
     pub fn go_on(&self) {
         let mut life = self.lock();
         life.stands = false;
         self.process(&mut life).into_iter().for_each(|process| process.signal("CONT"));
     }
 
-    /// Does `what` while the process stands still; a process that is not there does so, too.
+    /// Calls `what` while the process is stopped, or not running.
     pub fn stopped<T>(&self, what: impl FnOnce() -> T) -> T {
         let mut life = self.lock();
         let stands = life.stands;
@@ -87,21 +87,21 @@ impl Seat {
         done
     }
 
-    /// Its number, while it lives.
+    /// Returns the process id, if the process is running.
     pub fn id(&self) -> Option<u32> {
         self.lock().process.as_ref().map(Running::id)
     }
 }
 
-/// Ports that are free now. A coordinator that is dead for a while must get its own back: so they lie below those that the
-/// system gives to connections.
+/// Returns ports that are free now. They are below the ports that the system gives to connections, so that a coordinator that was
+/// killed can get its port back later.
 fn free(count: usize) -> Vec<SocketAddr> {
     let loopback = |port| SocketAddr::from(([127, 0, 0, 1], port));
     let all = (20_000..30_000).map(loopback).filter(|&address| TcpListener::bind(address).is_ok());
     all.skip(std::process::id() as usize % 1000).take(count).collect()
 }
 
-/// Where the log is.
+/// Location of the log.
 enum Store {
     Sqlite,
     Postgres(Box<Scratch>),
@@ -109,18 +109,18 @@ enum Store {
 
 pub struct Farm {
     pub place: Place,
-    /// Of all coordinators.
+    /// URLs of all coordinators.
     pub url: String,
     pub coordinators: Vec<Seat>,
     pub workers: Vec<Seat>,
-    /// Each worker's way to each coordinator.
+    /// Proxies from each worker to each coordinator.
     pub ways: Vec<Vec<Proxy>>,
     store: Store,
     runtime: tokio::runtime::Runtime,
 }
 
 impl Farm {
-    /// Ended jobs are forgotten after a minute. Two coordinators where there is a PostgreSQL, else one.
+    /// Starts a farm with two coordinators if there is a PostgreSQL, else one. Ended jobs expire after a minute.
     pub fn new() -> Self {
         let place = Place::new();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
@@ -151,13 +151,13 @@ impl Farm {
         farm
     }
 
-    /// Everybody lives, and all ways are open.
+    /// Starts all processes that are not running, and thaws all proxies.
     pub fn heal(&self) {
         self.coordinators.iter().chain(&self.workers).for_each(|seat| seat.start(&self.place));
         self.ways.iter().flatten().for_each(Proxy::thaw);
     }
 
-    /// What the log says at some moment, if there is one.
+    /// Returns the current contents of the log, if there is one.
     pub fn log(&self) -> Option<Contents> {
         match &self.store {
             Store::Sqlite => self.copy_of_log(),
@@ -165,12 +165,12 @@ impl Farm {
         }
     }
 
-    /// The coordinator stands still for an instant, and its file is copied as a crash would leave it.
+    /// Stops the coordinator for an instant, and copies its log file in the state after a crash.
     fn copy_of_log(&self) -> Option<Contents> {
         let copied = self.coordinators[0].stopped(|| {
             ["farm.db", "farm.db-wal", "farm.db-mark"].map(|name| {
                 let copy = self.place.path(&name.replace("farm", "copy"));
-                // A log that has just been begun or closed has no such file.
+                // A log that has just been created or closed lacks some of these files.
                 let _ = std::fs::remove_file(&copy);
                 std::fs::copy(self.place.path(name), copy).is_ok()
             })

@@ -1,4 +1,4 @@
-//! What goes wrong, and when, from a seed.
+//! Random faults, derived from a seed.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -6,11 +6,11 @@ use std::time::{Duration, Instant};
 use crate::common::proxy::{Proxy, Way};
 use crate::farm::{Farm, WORKERS};
 
-/// Numbers from a seed: SplitMix64.
+/// Random numbers from a seed: SplitMix64.
 pub struct Draw(pub u64);
 
 impl Draw {
-    /// Below `most`.
+    /// Returns a number below `most`.
     pub fn below(&mut self, most: u64) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut mixed = self.0;
@@ -19,7 +19,7 @@ impl Draw {
         (mixed ^ (mixed >> 31)) % most
     }
 
-    /// From `least` to `most` milliseconds.
+    /// Returns a duration from `least` to `most` milliseconds.
     fn pause(&mut self, least: u64, most: u64) -> Duration {
         Duration::from_millis(least + self.below(most - least))
     }
@@ -66,7 +66,7 @@ impl Fault {
         }
     }
 
-    /// Whether it came about.
+    /// Begins the fault. Returns whether it took effect.
     fn begin(self, farm: &Farm) -> bool {
         match self {
             WorkerKilled(worker) => farm.workers[worker].kill(),
@@ -96,8 +96,8 @@ fn does(what: impl FnOnce()) -> bool {
     true
 }
 
-/// Faults until the time is over, each for some seconds and often several at a time; then all is well again. How often each came
-/// about.
+/// Produces faults until `end`, each for some seconds and often several at the same time, then repairs everything. Returns the
+/// number of faults by kind.
 pub fn storm(farm: &Farm, seed: u64, end: Instant) -> BTreeMap<&'static str, u64> {
     let mut draw = Draw(seed);
     let (mut fired, mut under_way) = (BTreeMap::new(), Vec::<(Instant, Fault)>::new());

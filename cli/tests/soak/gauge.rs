@@ -1,4 +1,4 @@
-//! How large the processes and their files are, from time to time.
+//! Repeated measurements of the size of the processes and their files.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,24 +6,24 @@ use std::time::{Duration, Instant};
 
 use crate::farm::{Farm, Seat};
 
-/// Between two measurements.
+/// Interval between two measurements.
 const EVERY: Duration = Duration::from_secs(10);
-/// So much more in the second half than in the first is nothing: percent, and bytes.
+/// Growth from the first half to the second that is tolerated: percent, and bytes.
 const TOLERANCE: (u64, u64) = (10, 2 << 20);
-/// A shorter run says nothing about growth: ended jobs are kept for a minute, garbage for another.
+/// Shortest run whose growth can be judged: ended jobs are kept for a minute, garbage for another.
 const LEAST: Duration = Duration::from_secs(600);
 
-/// Of one process.
+/// Measurement of one process.
 #[derive(Debug, Clone, Copy, Default)]
 struct Process {
-    /// 0: it is dead.
+    /// Process id; 0: not running.
     id: u32,
     resident_bytes: u64,
-    /// User and system.
+    /// User and system time.
     cpu_seconds: f64,
 }
 
-/// One measurement.
+/// Measurement of all processes and files.
 #[derive(Debug, Clone, Default)]
 pub struct Gauge {
     seconds: f64,
@@ -34,7 +34,7 @@ pub struct Gauge {
     artifact_bytes: u64,
 }
 
-/// Measures until it is over.
+/// Measures repeatedly until `is_over`.
 pub fn watch(farm: &Farm, begun: Instant, is_over: &AtomicBool) -> Vec<Gauge> {
     let mut gauges = Vec::new();
     while !is_over.load(Ordering::SeqCst) {
@@ -61,7 +61,7 @@ impl Gauge {
         }
     }
 
-    /// All of them, a line each.
+    /// Returns a table with a line for each measurement.
     pub fn table(gauges: &[Self], between: &str) -> String {
         let mut head: Vec<String> = ["seconds", "log KiB", "artifacts", "artifact KiB"].map(str::to_owned).into();
         let (coordinators, workers) =
@@ -100,14 +100,14 @@ impl Process {
         let (status, stat) = (read("status"), read("stat"));
         let resident =
             status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.split_whitespace().next()?.parse().ok());
-        // After the name in brackets; clock ticks are hundredths of a second on Linux.
+        // Fields after the name in parentheses. Clock ticks are hundredths of a second on Linux.
         let ticks = |index| stat.rsplit(')').next()?.split_whitespace().nth(index)?.parse::<f64>().ok();
         let cpu = ticks(11).zip(ticks(12)).map_or(0.0, |(user, system)| (user + system) / 100.0);
         Self { id, resident_bytes: resident.unwrap_or(0u64) * 1024, cpu_seconds: cpu }
     }
 }
 
-/// The number of files below a folder, and their bytes.
+/// Returns the number of files below a folder, and their bytes.
 fn volume(folder: &Path) -> (u64, u64) {
     let Ok(entries) = std::fs::read_dir(folder) else { return (0, 0) };
     entries.flatten().fold((0, 0), |(count, bytes), entry| match entry.metadata() {
@@ -116,13 +116,13 @@ fn volume(folder: &Path) -> (u64, u64) {
             (count + below.0, bytes + below.1)
         }
         Ok(data) => (count + 1, bytes + data.len()),
-        // It went away meanwhile.
+        // The file was removed meanwhile.
         Err(_) => (count, bytes),
     })
 }
 
-/// What is larger in the second half than in the first: the means over all lives of each process, and the files. The first
-/// eighth is left out: there the farm fills up.
+/// Returns lines about growth from the first half of the run to the second: in the mean memory of each process over all of its
+/// lives, and in the files. The first eighth of the run is left out, because the farm fills up there.
 pub fn growth(gauges: &[Gauge], time: Duration) -> Vec<String> {
     let gauges = &gauges[gauges.len() / 8..];
     if time < LEAST || gauges.len() < 8 {
@@ -140,7 +140,7 @@ pub fn growth(gauges: &[Gauge], time: Duration) -> Vec<String> {
             grown.push(format!("{what}: from {before} to {after} bytes on the average"));
         }
     };
-    // Of several the one that leads is the largest; the others only wait.
+    // Of several coordinators, the leader is the largest; the others only wait.
     let leader = |gauge: &Gauge| gauge.coordinators.iter().map(|process| process.resident_bytes).max().unwrap_or(0);
     compare("memory of the coordinator that leads".into(), &leader);
     for worker in 0..gauges[0].workers.len() {

@@ -1,4 +1,4 @@
-//! The log read along.
+//! Repeated reading of the log during the run.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,18 +11,18 @@ use serde::Serialize;
 
 use crate::farm::Farm;
 
-/// Between two copies.
+/// Interval between two copies.
 const EVERY: Duration = Duration::from_secs(2);
-/// What the log has said so far.
+/// Summary of the log so far.
 #[derive(Debug, Default, Serialize)]
 pub struct Journal {
-    /// Copies that were read.
+    /// Number of copies that were read.
     pub copies: u64,
-    /// Times that a snapshot had taken the place of the records.
+    /// Number of times that a new snapshot had replaced the records.
     pub snapshots: u64,
-    /// Different results that count.
+    /// Number of distinct results that count.
     pub effects: u64,
-    /// Most records that were there at a time.
+    /// Largest number of records in a copy.
     pub longest: usize,
     /// Tasks that count twice, although nothing was lost in between.
     pub twice: Vec<String>,
@@ -30,13 +30,13 @@ pub struct Journal {
     counted: BTreeMap<TaskKey, Epoch>,
     #[serde(skip)]
     snapshot: Option<Vec<u8>>,
-    /// Records after that snapshot that are noted.
+    /// Number of records after the snapshot that have been processed.
     #[serde(skip)]
     noted: usize,
 }
 
 impl Journal {
-    /// Reads along until it is over.
+    /// Reads the log repeatedly until `is_over`.
     pub fn follow(farm: &Farm, is_over: &AtomicBool) -> Self {
         let mut journal = Self::default();
         while !is_over.load(Ordering::SeqCst) {
@@ -46,7 +46,7 @@ impl Journal {
         journal
     }
 
-    /// Reads what is there at the very end.
+    /// Kills the coordinators and reads the final log.
     pub fn end(mut self, farm: &Farm) -> Self {
         for coordinator in &farm.coordinators {
             coordinator.kill();

@@ -1,13 +1,13 @@
-//! Real processes for a quarter of an hour, with faults at random: every job ends as it should with the frames of one process, each
-//! task has its effect once, and at the end nothing is larger than it was in the middle.
+//! Soak test: real processes run for a quarter of an hour with random faults. Every job must end as expected with the same frames
+//! as one process, each task must take effect once, and at the end nothing may be larger than in the middle.
 //!
 //! ```text
 //! FEMC_SOAK_MINUTES=15 FEMC_SOAK_SEED=1 FEMC_SOAK_OUT=/tmp/soak \
 //!     cargo test --release -p femc --test soak -- --ignored --nocapture
 //! ```
 //!
-//! Under `tests/postgres` there are two coordinators on one PostgreSQL. The seed decides which faults come and when; what they hit is up to the machine. `FEMC_SOAK_OUT` is a folder for the
-//! measurements (`soak.csv`) and the sum (`soak.json`).
+//! Under `tests/postgres` there are two coordinators on one PostgreSQL. The seed determines the kinds and times of the faults; the
+//! machine determines what they hit. `FEMC_SOAK_OUT` is a folder for the measurements (`soak.csv`) and the summary (`soak.json`).
 #![cfg(target_os = "linux")]
 
 #[path = "../suite/common/mod.rs"]

@@ -1,4 +1,4 @@
-//! Who submits job after job, changes his mind, fetches and compares frames, and looks after the farm.
+//! Simulated user and operator, who submits and changes jobs, fetches and compares frames, and maintains the farm.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
@@ -9,21 +9,21 @@ use crate::common::{Place, names, pixels};
 use crate::farm::{Farm, WORKERS};
 use crate::faults::Draw;
 
-/// Three frames of four tiles; a tile takes some hundredths of a second.
+/// Settings of a job: three frames of four tiles; a tile takes some hundredths of a second.
 const SETTINGS: &str = "--spp 64 --size 32x32 --frames 1..3";
-/// The jobs differ by their seeds.
+/// Number of different seeds of jobs.
 const SEEDS: usize = 3;
-/// Jobs that run at a time.
+/// Number of jobs that run at the same time.
 const AT_ONCE: usize = 4;
-/// When the faults are over, the jobs must end within that.
+/// Time in which the jobs must end after the last fault.
 const LAST: Duration = Duration::from_secs(120);
-/// Between two drained workers, and between two collections of garbage.
+/// Interval between two drained workers, and between two garbage collections.
 const ROUND: Duration = Duration::from_secs(30);
 
-/// The frames' bits by name.
+/// Bits of the frames by file name.
 type Frames = BTreeMap<String, Vec<u32>>;
 
-/// What one process renders, by seed.
+/// Renders the frames of each seed in one process, for comparison.
 pub fn alone(place: &Place) -> Vec<Frames> {
     let render = |seed| {
         let folder = format!("alone{seed}");
@@ -38,20 +38,20 @@ fn frames(place: &Place, folder: &str) -> Frames {
     names(&folder).into_iter().map(|name| (name.clone(), pixels(&folder.join(name)))).collect()
 }
 
-/// What was done and seen.
+/// Summary of the user's actions and findings.
 #[derive(Debug, Default, Serialize)]
 pub struct Tally {
     pub submitted: u64,
     pub done: u64,
     pub cancelled: u64,
     pub frames_compared: u64,
-    /// What else was asked of the farm, and done.
+    /// Number of successful requests by command.
     pub asked: BTreeMap<&'static str, u64>,
-    /// What must never be.
+    /// Violations that must never happen.
     pub wrong: Vec<String>,
 }
 
-/// What is still to be done to a job, and how it may end.
+/// Remaining steps for a job, and its expected end.
 struct Plan {
     steps: VecDeque<(Instant, &'static str)>,
     end: &'static str,
@@ -76,7 +76,7 @@ impl Plan {
     }
 }
 
-/// A person at work.
+/// State of the simulated user.
 struct Person<'a> {
     farm: &'a Farm,
     alone: &'a [Frames],
@@ -114,7 +114,7 @@ pub fn work(farm: &Farm, alone: &[Frames], seed: u64, end: Instant) -> Tally {
 }
 
 impl Person<'_> {
-    /// Whether the farm said yes.
+    /// Runs a command. Returns whether it succeeded.
     fn asks(&mut self, what: &'static str, rest: &str) -> bool {
         let ran = self.farm.place.run(&format!("{what} {rest} --server {}", self.farm.url));
         let is_done = ran.code() == Some(0);
@@ -126,13 +126,13 @@ impl Person<'_> {
 
     fn submit(&mut self) {
         let seed = self.draw.below(SEEDS as u64);
-        // One whose answer is lost may be there all the same: it is found among the jobs.
+        // A job whose answer is lost may exist: it is found later in the list of jobs.
         if self.asks("submit", &format!("fog.mgf {SETTINGS} --seed {seed} --owner {seed}")) {
             self.tally.submitted += 1;
         }
     }
 
-    /// Looks at every job, and does what is to be done; how many are not settled, if the farm answers.
+    /// Checks every job and executes its next step. Returns the number of unfinished jobs, if the farm answers.
     fn look(&mut self) -> Option<usize> {
         let ran = self.farm.place.run(&format!("jobs --json --server {}", self.farm.url));
         if ran.code() != Some(0) {
@@ -161,7 +161,7 @@ impl Person<'_> {
         let has_ended = ["done", "cancelled", "failed"].contains(&state);
         let plan = self.plans.entry(number).or_insert_with(|| Plan::draw(&mut self.draw));
         if let Some(&(at, step)) = plan.steps.front() {
-            // What is done cannot be changed any more, and what has ended only be tried again.
+            // A finished job cannot be changed any more, and an ended one can only be retried.
             let is_idle = state == "done" || (has_ended && step != "retry");
             if is_idle {
                 plan.steps.pop_front();
@@ -179,7 +179,7 @@ impl Person<'_> {
         has_ended && self.ended(number, job, state, expected)
     }
 
-    /// Fetches and compares; `false` if the farm does not let it.
+    /// Fetches and compares the frames; returns `false` if the farm does not allow it now.
     fn ended(&mut self, number: u64, job: &serde_json::Value, state: &str, expected: &str) -> bool {
         let folder = format!("out{number}");
         let fetched = self.farm.place.run(&format!("fetch {number} -o {folder} --server {}", self.farm.url));
@@ -207,13 +207,13 @@ impl Person<'_> {
         true
     }
 
-    /// What an operator does: a worker gets no tasks for a moment, and garbage goes.
+    /// Acts as the operator: drains a worker for a moment and collects garbage.
     fn look_after(&mut self) {
         let worker = self.draw.below(WORKERS as u64);
         self.asks("drain", &format!("w{worker}"));
         self.asks("gc", "--grace 60s");
         for worker in 0..WORKERS {
-            // One that is not there is not drained; one that is away for longer is opened the next time.
+            // A worker that is not connected is not drained; one that stays away longer is undrained the next time.
             self.farm.place.run(&format!("drain w{worker} --undo --server {}", self.farm.url));
         }
     }

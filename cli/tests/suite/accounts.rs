@@ -1,4 +1,4 @@
-//! Comments, labels, deleted jobs, usage, and who is told of a job's end.
+//! Tests of comments, labels, deleted jobs, usage, and notifications of a job's end.
 
 use crate::common::{Place, Running, coordinator, status};
 use std::io::{Read, Write};
@@ -6,7 +6,7 @@ use std::net::TcpListener;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-/// A message that a receiver got: its head, in lower case, and its body.
+/// A received message: its head in lower case, and its body.
 struct Received {
     head: String,
     body: serde_json::Value,
@@ -20,7 +20,7 @@ impl Received {
     }
 }
 
-/// A server of messages on a free port that answers with these statuses, and with 200 from then on.
+/// Starts a server for messages on a free port. It answers with these statuses, and then always with 200.
 fn receiver(statuses: &'static [&str]) -> (u16, Receiver<Received>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = listener.local_addr().expect("its address").port();
@@ -93,7 +93,7 @@ fn the_end_of_a_job_is_posted_until_it_is_taken_signed_and_only_to_where_the_coo
         assert_eq!(one.body["data"]["labels"]["shot"], "12");
         assert_eq!(one.body["data"]["comment"], "a draft");
     }
-    // The coordinator makes durable that the first end is announced before it sends the message about the second.
+    // The coordinator logs the first notification as sent before it sends the second one.
     let second = submit(&place, &url, &["--frames", "2", "--notify", &notify]);
     place.run(&format!("cancel {second} --server {url}")).exits(0);
     assert_eq!(next(&received).body["data"]["job"].to_string(), second);
@@ -102,7 +102,7 @@ fn the_end_of_a_job_is_posted_until_it_is_taken_signed_and_only_to_where_the_coo
     let (_farm, url) = start(&place, &format!("--notify-allow http://127.0.0.1:{port}/hooks/ --notify-key key"));
     let other = submit(&place, &url, &["--frames", "2", "--notify", &notify]);
     place.run(&format!("cancel {other} --server {url}")).exits(0);
-    // The second message may come once more: it was taken at the last moment.
+    // The second message may arrive twice: it was accepted just before the coordinator stopped.
     let job = loop {
         let job = next(&received).body["data"]["job"].to_string();
         if job != second {
@@ -179,7 +179,7 @@ fn jobs_are_found_by_their_labels_and_deleted_ones_leave_their_usage() {
     place.run(&format!("delete --label shot=12 --server {url}")).exits(0);
     place.run(&format!("status {job} --server {url}")).exits(2);
     assert_eq!(status(&place, &url, &other)["state"], "done");
-    // What is not durable yet is told, too.
+    // Usage includes values that are not durable yet.
     let csv = place.run(&format!("usage --csv --server {url}")).exits(0).stdout();
     let mut lines = csv.lines();
     assert_eq!(lines.next(), Some("month,owner,jobs,frames,tasks,samples,worker_seconds,processor_seconds"));

@@ -1,4 +1,4 @@
-//! A copy of a farm at work is a farm.
+//! Tests of `femc backup`: a copy of a running farm is a working farm.
 
 use crate::common::{Place, coordinator, coordinator_with, names, pixels, share, status, submit};
 

@@ -1,10 +1,10 @@
-//! `femc bench`: run time against error.
+//! Tests of `femc bench`.
 
 use crate::common;
 use crate::common::{Place, names};
 use serde_json::Value;
 
-/// A place with `ref_A.exr` and `ref_B.exr`, independent halves of a reference of 24 x 16 pixels.
+/// Creates a folder with `ref_A.exr` and `ref_B.exr`, independent halves of a reference of 24 x 16 pixels.
 fn with_reference() -> Place {
     let place = Place::new();
     for (half, seed) in [("A", 101), ("B", 102)] {
@@ -25,7 +25,8 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// A first pass is solved once a method and is a part of what its frames take; its light is in their pixels.
+/// Checks that a first pass is solved once per method, that its time is part of the frames' times, and that its light is in the
+/// pixels.
 #[test]
 fn methods_with_a_first_pass_are_measured_with_its_light_and_its_seconds() {
     let place = with_reference();
@@ -76,7 +77,7 @@ fn errors_fall_with_the_budget_and_are_told_with_their_machine_and_seeds() {
     let points = scene["points"].as_array().expect("points");
     let relmse = |place: usize| number(&points[place]["relmse"]["mean"]);
     assert!(noise > 0.0 && noise < 0.2 * relmse(1), "{noise} of {}", relmse(1));
-    // Four times the samples: a quarter of the error, more or less.
+    // Four times the samples give about a quarter of the error.
     assert!((2.0..8.0).contains(&(relmse(0) / relmse(1))), "{} and {}", relmse(0), relmse(1));
     let measured: Vec<f64> = (runs(&document).iter())
         .filter(|run| run["method"] == "pt" && run["budget"] == 4.0)
@@ -117,7 +118,7 @@ fn what_is_measured_is_kept_and_not_measured_again() {
     place.run(&format!("{BENCH} -o bench.json")).exits(0);
     let first: Value = serde_json::from_str(&place.read("bench.json")).expect("JSON");
     let again = place.run(&format!("{BENCH} -o bench.json --json")).exits(0).json();
-    // Times are never the same twice.
+    // The times differ between runs and are not compared.
     assert_eq!(runs(&first), runs(&again));
     let more = place.run(&format!("{} -o bench.json --json", BENCH.replace("--seeds 3", "--seeds 4"))).exits(0).json();
     assert_eq!(&runs(&more)[..9], &runs(&first)[..]);

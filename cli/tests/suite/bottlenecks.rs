@@ -1,4 +1,4 @@
-//! `femc bottlenecks`: the scenes that were made to have one.
+//! Tests of `femc bottlenecks` with scenes that have a known bottleneck.
 
 use crate::common::Place;
 use serde_json::Value;
@@ -13,7 +13,7 @@ fn real(value: &Value, key: &str) -> f64 {
     value[key].as_f64().unwrap_or_else(|| panic!("{key} of {value}"))
 }
 
-/// What is found in a frame of a scene.
+/// Returns the findings for a frame of a scene.
 fn found(place: &Place, name: &str, text: &str, spp: u32) -> Value {
     place.write(&format!("{name}.mgf"), text);
     place.run(&format!("render {name}.mgf -o {name}.exr --size 64x48 --spp {spp} --stats")).exits(0);
@@ -51,7 +51,7 @@ fn the_ball_that_makes_the_fireflies_of_a_gallery_is_named_and_not_when_it_is_ma
     let matte = found(&place, "matte", &text.replace("rs 0.9 0\n", "rd 0.7\n"), 64);
     assert_eq!(finding(&matte, "noise").expect("noise")["object"], "room");
     assert!(real(object(&matte, "sphere"), "noise") < 0.05, "{}", object(&matte, "sphere"));
-    // Of both frames together the bright one's are the worst.
+    // In both frames together, the findings of the bright frame are the worst.
     let both = place.run("bottlenecks matte.paths gallery.paths --json").exits(0).json();
     assert_eq!(both["samples"], 2 * 64 * 48 * 64);
     assert_eq!(finding(&both, "firefly").expect("a firefly")["file"], "gallery.paths");

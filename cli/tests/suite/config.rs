@@ -1,4 +1,4 @@
-//! Flag, environment, file, default: in this order, for every setting.
+//! Tests of the precedence of settings: flag, environment, file, default.
 
 use crate::common::{Place, Ran};
 use std::process::Command;
@@ -15,7 +15,7 @@ join = \"http://file:2\"
 tags = [\"a\", \"b\"]
 ";
 
-/// What `femc LINE --print-config` prints, with this environment.
+/// Returns the output of `femc LINE --print-config` with this environment.
 fn printed(place: &Place, line: &str, environment: &[(&str, &str)]) -> String {
     let mut command: Command = place.command(&format!("{line} --print-config"));
     let output = command.envs(environment.iter().copied()).output().expect("femc starts");

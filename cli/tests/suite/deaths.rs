@@ -1,4 +1,4 @@
-//! Real workers that die in mid-task: of the task itself, and by other hands.
+//! Tests of real workers that die in the middle of a task: because of the task, or killed from outside.
 #![cfg(all(unix, debug_assertions))]
 
 use crate::common;
@@ -12,7 +12,7 @@ fn worker(place: &Place, url: &str, fault: Option<(&str, String)>) -> Running {
     Running::of(&mut command)
 }
 
-/// What is quarantined, as `status` tells.
+/// Returns the quarantined tasks of a job, as `status` reports them.
 fn quarantined(place: &Place, url: &str, job: &str) -> Vec<serde_json::Value> {
     status(place, url, job)["quarantined"].as_array().cloned().unwrap_or_default()
 }
@@ -42,7 +42,7 @@ fn a_task_that_always_kills_its_worker_is_put_aside_and_the_other_frames_are_don
     let answer = status(&place, &url, &job);
     assert_eq!((answer["state"].as_str(), answer["frames_done"].as_u64()), (Some("failed"), Some(1)), "{answer}");
     assert!(answer.to_string().contains("workers died 5 times while they computed it; the last was lab"), "{answer}");
-    // Where it does no harm it is done after all, and the frames are those of one process.
+    // A worker without the fault completes the task after a retry, and the frames equal those of one process.
     drop(killed);
     let _healthy = worker(&place, &url, None);
     place.run(&format!("retry {job} --server {url}")).exits(0);

@@ -1,4 +1,4 @@
-//! What jobs share, by processes that are killed: 64 blocks of exact arithmetic that iterate five times, once for two jobs.
+//! Tests of the shared job with processes that are killed: 64 blocks of exact arithmetic iterate five times, once for two jobs.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -18,7 +18,8 @@ const ROUNDS: u32 = 5;
 const NUMBERS: usize = 128;
 const SEED: u64 = 0x5eed;
 
-/// Blocks that read all blocks of the round before, a field that reads those of the last, an answer a frame that reads the field.
+/// Returns a graph: blocks that read all blocks of the previous round, a field that reads the blocks of the last round, and an
+/// answer per frame that reads the field.
 fn graph() -> Graph {
     let drill = |scope, tasks, makes: &[Role]| Template::new(StageKind::Drill, scope, Sizes::even(tasks, 1), makes);
     let carried = Need { stage: 0, role: Role::Numbers, reach: Reach::All, round: Round::Before, gaps: false };
@@ -60,7 +61,7 @@ fn mixed(value: u64) -> u64 {
     value ^ (value >> 31)
 }
 
-/// The answer of a frame, by the definition.
+/// Computes the expected answer of a frame directly.
 fn answer(frame: u32) -> Vec<u8> {
     let own = |item: u64, frame: u32| mixed(item << 32 | u64::from(frame));
     let mut blocks: Vec<Vec<u64>> = (0..u64::from(BLOCKS))
@@ -89,7 +90,7 @@ fn worker(place: &Place, url: &str) -> Running {
     place.start(&format!("worker --join {url} --threads 1"))
 }
 
-/// By the log: what is shared was begun once, and each of its tasks counts once.
+/// Checks in the log that the shared work began once, and that each of its tasks counts once.
 async fn is_done_once(place: &Place) {
     let mut log = femc_queue::Sqlite::open(&place.path("farm.db")).await.expect("a log");
     let records = log.load().await.expect("its records").records;
@@ -145,7 +146,7 @@ fn what_two_jobs_share_is_solved_once_whoever_is_killed_and_one_of_them_cancelle
     runtime.block_on(is_done_once(&place));
 }
 
-/// Frames of three blocks and an answer; each block takes its time, unless it may look at that of the frame before.
+/// Returns a job with three blocks and an answer per frame. Each block takes time, unless it may read that of the previous frame.
 fn lone(name: &str, bundle: Artifact, is_linked: bool) -> JobSpec {
     let drill = |tasks, makes: &[Role]| Template::new(StageKind::Drill, Scope::Frame, Sizes::even(tasks, 1), makes);
     let blocks = drill(3, &[Role::Numbers]);
@@ -155,7 +156,7 @@ fn lone(name: &str, bundle: Artifact, is_linked: bool) -> JobSpec {
     JobSpec { settings, graph, contents: vec![], ..job(name, bundle, &[2, 3, 5, 8, 13]) }
 }
 
-/// By the log: seconds of the tasks that read nothing, by job.
+/// Reads the seconds of the tasks without inputs from the log, by job.
 async fn seconds(place: &Place) -> BTreeMap<JobId, Vec<f64>> {
     let mut log = femc_queue::Sqlite::open(&place.path("farm.db")).await.expect("a log");
     let mut all = BTreeMap::<JobId, Vec<f64>>::new();
@@ -192,6 +193,6 @@ fn who_may_look_at_the_frame_before_saves_time_and_changes_no_byte() {
     let seconds = runtime.block_on(seconds(&place));
     let saved = |job: JobId| seconds[&job].iter().filter(|&&seconds| seconds < 0.2).count();
     assert_eq!(saved(jobs[0]), 0, "{seconds:?}");
-    // A worker fetches ahead: what it got before the frame before was done saves nothing.
+    // Workers fetch tasks ahead. A task fetched before the previous frame was done saves nothing.
     assert!((6..=12).contains(&saved(jobs[1])), "{seconds:?}");
 }

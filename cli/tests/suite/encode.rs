@@ -1,4 +1,4 @@
-//! Stills, contact sheets and clips that a farm makes.
+//! Tests of stills, contact sheets and clips from a farm.
 #![cfg(unix)]
 
 use crate::common;
@@ -9,12 +9,12 @@ use std::os::unix::fs::PermissionsExt;
 const FRAMES: &str = "--frames 1..3 --size 48x32";
 const SHOWN: &str = "--video clip.png --contact-sheet sheet.png --preview";
 
-/// Workers of one thread each.
+/// Starts workers with one thread each.
 fn join(place: &Place, url: &str, count: u32) -> Vec<Running> {
     (0..count).map(|_| place.start(&format!("worker --join {url} --threads 1"))).collect()
 }
 
-/// What a farm of so many workers makes of such a job, in a folder of this name.
+/// Fetches the outputs of a job, rendered by this many workers, into a folder of this name.
 fn fetched(place: &Place, out: &str, workers: u32, settings: &str) {
     let farm = Place::new();
     let (_coordinator, url) = coordinator(&farm, 0);
@@ -25,7 +25,7 @@ fn fetched(place: &Place, out: &str, workers: u32, settings: &str) {
     farm.run(&format!("fetch {job} -o {} --server {url}", folder.display())).exits(0);
 }
 
-/// Frames of an animated PNG.
+/// Returns the number of frames of an animated PNG.
 fn frames_of(clip: &[u8]) -> u32 {
     let at = clip.windows(4).position(|name| name == b"acTL").expect("an animated PNG") + 4;
     u32::from_be_bytes(clip[at..at + 4].try_into().expect("four bytes"))
@@ -55,7 +55,7 @@ fn a_clip_its_stills_and_a_sheet_are_the_same_for_any_number_of_workers_and_the_
     let [first, _, last] = [0, 1, 2].map(|frame| still(&stills[frame]));
     assert_eq!((first.width, first.height), (48, 32));
     assert_ne!(first, last, "the fog thickens");
-    // One exposure: what is brighter in the scene is brighter in its still, pixel by pixel.
+    // All stills have one exposure: a brighter pixel of the scene is brighter in its still.
     let [dark, bright] = [0, 2].map(|frame| common::film(&place.path("one").join(&images[frame])).rgb);
     let [shown_dark, shown_bright] = [first, last].map(|picture| picture.pixels.concat());
     let pairs = dark.iter().zip(&bright).zip(shown_dark.iter().zip(&shown_bright));

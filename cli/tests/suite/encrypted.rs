@@ -1,11 +1,11 @@
-//! HTTP over TLS, with the programs that people use for it: curl, Python and Node, over HTTP/1.1 and HTTP/2.
+//! Tests of HTTP over TLS with common clients: curl, Python and Node, over HTTP/1.1 and HTTP/2.
 #![cfg(unix)]
 
 use crate::common::{Place, Ran, Running, submit};
 use femc_require::Need;
 use std::process::Command;
 
-/// An encrypted farm with one finished job, and the files of its identities.
+/// An encrypted farm with one finished job, and its identity files.
 struct Secured {
     place: Place,
     url: String,
@@ -26,7 +26,7 @@ impl Secured {
         let mut coordinator = place.start(&format!("{line} --token-file femc-ca/tokens"));
         let line = coordinator.first_line();
         let url = line.split_whitespace().find(|word| word.starts_with("https://")).expect("the address").to_owned();
-        // An identity as the three files that other programs take: certificate, key, authority.
+        // Split the identity into the three files that other programs need: certificate, key, authority.
         let identity = place.read("ann.pem");
         let sections: Vec<&str> = identity.split_inclusive("-----\n").collect();
         for (name, part) in ["cert", "key", "ca"].iter().zip(sections.chunks(2)) {
@@ -43,7 +43,7 @@ impl Secured {
         self.place.read(&format!("{user}.token")).lines().next().expect("a token").to_owned()
     }
 
-    /// Paths of all calls with GET that end, with the status of each for an admin.
+    /// Returns the paths of all GET calls that end by themselves, with the status that an admin gets.
     fn gets(&self) -> Vec<(String, u16)> {
         let job = format!("jobs/{}", self.job);
         let of_job = ["", "/frames", "/tasks?state=done&count=2", "/attempts", "/logs"].map(|rest| (rest, 200));
@@ -55,7 +55,7 @@ impl Secured {
         of_farm.into_iter().chain(of_job).map(|(path, status)| (format!("/api/v1/{path}"), status)).collect()
     }
 
-    /// curl with the authority's certificate and these arguments.
+    /// Runs curl with the authority's certificate and these arguments.
     fn curl(&self, version: &str, path: &str, arguments: &[&str]) -> Answered {
         let mut curl = Command::new("curl");
         curl.args(["--silent", "--show-error", "--cacert", "ca.pem", version, "--max-time", "60"]);
@@ -72,7 +72,7 @@ impl Secured {
         Answered { version: spoken, status, location, cookie, error, body: output.stdout[..end].to_vec() }
     }
 
-    /// Runs a script with the address, the job and the paths, one a line; it prints what it has done.
+    /// Runs a script with the address, the job and the paths, one per line. Returns its output.
     fn script(&self, program: &mut Command) -> String {
         let gets: String = self.gets().iter().map(|(path, status)| format!("{status} {path}\n")).collect();
         self.place.write("gets", &gets);
@@ -85,7 +85,7 @@ impl Secured {
     }
 }
 
-/// Answer that curl has received.
+/// An answer that curl received.
 #[derive(Debug)]
 struct Answered {
     version: String,
@@ -97,7 +97,7 @@ struct Answered {
 }
 
 impl Answered {
-    /// The code of a refusal.
+    /// Returns the error code of a refusal.
     #[track_caller]
     fn code(&self) -> String {
         let text = String::from_utf8_lossy(&self.body);
@@ -107,9 +107,9 @@ impl Answered {
     }
 }
 
-/// curl's option, and the version that it then speaks.
+/// Options of curl, and the HTTP version that each selects.
 const VERSIONS: [(&str, &str); 2] = [("--http1.1", "1.1"), ("--http2", "2")];
-/// Options with which curl shows ann's certificate.
+/// Options of curl that present ann's certificate.
 const ANN: [&str; 4] = ["--cert", "cert.pem", "--key", "key.pem"];
 const JSON: [&str; 4] = ["--header", "Content-Type: application/json", "--header", "X-Femc: 1"];
 
@@ -132,7 +132,7 @@ fn curl_does_all_that_the_manual_says_over_both_versions_of_http() {
         let steered = farm.curl(option, "/api/v1/jobs/control", &[&ANN[..], &JSON, &["--data", &steer]].concat());
         let json: serde_json::Value = serde_json::from_slice(&steered.body).expect("JSON");
         assert_eq!((steered.status, json["refused"][0]["code"].as_str()), (200, Some("ended")), "{steered:?}");
-        // The page's login: a form, then a cookie.
+        // The login of the web page: a form, then a cookie.
         let form = format!("token={}", farm.token("eve"));
         let login = farm.curl(option, "/login", &["--data", &form]);
         assert_eq!((login.version.as_str(), login.status, login.location.as_str()), (version, 303, "/"), "{login:?}");
@@ -170,7 +170,7 @@ fn a_post_that_is_refused_has_its_answer_whole_over_both_versions_of_http() {
         ] {
             let file = format!("@{file}");
             let arguments = [head, &["--header", who, "--data-binary", &file]].concat();
-            // A reset that comes too early does not come each time.
+            // Repeat, because a connection reset that comes too early does not occur every time.
             for _ in 0..10 {
                 let answer = farm.curl(option, path, &arguments);
                 assert_eq!(answer.error, "", "{path} {file}: {answer:?}");
@@ -189,7 +189,7 @@ fn headers_above_the_documented_limit_are_refused_over_both_versions_of_http() {
     let farm = Secured::start();
     let limit = femc_service::Limits::default().headers as usize;
     for (option, version) in VERSIONS {
-        // 2 KiB for the request's own.
+        // 2 KiB are left for the other headers.
         for (bytes, status) in [(limit - (2 << 10), 200), (limit, 431), (3 * limit, 431)] {
             let filler = format!("X-Filler: {}\n", "x".repeat(1000));
             farm.place.write("head", &filler.repeat(bytes.div_ceil(1000 + "x-filler".len() + 32)));

@@ -1,4 +1,4 @@
-//! Coordinator, workers and clients as processes of their own.
+//! Tests with coordinator, workers and clients as separate processes.
 
 use crate::common;
 use crate::common::{Place, Running, coordinator, drawn, names, share, submit};
@@ -54,7 +54,7 @@ fn frames_whose_tiles_have_their_own_numbers_of_samples_are_those_of_one_process
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
     same_as_one_process(&place, SETTINGS);
-    // Of each tile of the first frame: the samples of all its rounds.
+    // Sum the samples of all rounds for each tile of the first frame.
     let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
     let mut samples = std::collections::BTreeMap::new();
     for row in rows.as_array().expect("rows").iter().filter(|row| row["frame"] == 1 && !row["tile"].is_null()) {
@@ -112,7 +112,7 @@ fn a_task_under_way_lives_through_the_coordinator_s_death() {
     let place = Place::new();
     let (mut first, url) = coordinator(&place, 0);
     let _worker = worker(&place, &url);
-    // Tiles of some seconds.
+    // Each tile takes some seconds.
     let job = submit(&place, &url, "--spp 1500 --size 32x32 --frames 1");
     first.wait_until("some samples", || share(&place, &url, &job) > 0.1);
     let before = share(&place, &url, &job);
@@ -121,7 +121,7 @@ fn a_task_under_way_lives_through_the_coordinator_s_death() {
     let (mut second, url) = coordinator(&place, port);
     second.wait_until("progress", || share(&place, &url, &job) > before);
     place.run(&format!("watch {job} --server {url}")).exits(0);
-    // The second coordinator has heard of all attempts that ended in its time, each with its lease's epoch.
+    // The second coordinator has recorded all attempts that ended while it ran, each with its lease's epoch.
     let logs = place.run(&format!("logs {job} --json --server {url}")).exits(0).json();
     let granted_by = |log: &serde_json::Value| log["epoch"].as_u64().map_or(0, |epoch| epoch >> 40);
     let of_the_first = logs.as_array().expect("a list").iter().filter(|log| granted_by(log) == 1).count();
@@ -154,7 +154,7 @@ fn a_worker_that_is_told_to_stop_finishes_its_task_and_leaves_the_rest_to_others
 fn after_an_edit_only_the_changed_files_are_sent() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
-    // Comments that do not compress away stand for a mesh.
+    // Incompressible comments stand in for a mesh.
     let mut state = 1u64;
     let mut line = |_| {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -193,7 +193,7 @@ fn a_job_without_a_worker_says_so_and_a_client_may_leave_a_watch() {
     let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
     assert_eq!(jobs[0]["job"].to_string(), job);
     let mut watch = place.start(&format!("watch {job} --server {url}"));
-    // The watch has no mark of its own that it stands; the signal may come at any time.
+    // Nothing shows that the watch has started; the test passes whenever the signal comes.
     std::thread::sleep(std::time::Duration::from_millis(300));
     watch.signal("INT");
     watch.end().exits(3);
@@ -209,7 +209,7 @@ fn a_job_that_does_not_exist_is_wrong_usage() {
     }
 }
 
-/// Waits until between a third and two thirds of the samples that a job comes to are drawn.
+/// Waits until between a third and two thirds of the job's samples are drawn.
 fn half_way(place: &Place, farm: &mut Running, url: &str, job: &str, samples: f64) {
     farm.wait_until("a third of the samples", || drawn(place, url, job) / samples > 0.33);
     let share = drawn(place, url, job) / samples;
@@ -223,14 +223,14 @@ fn six_ways_to_one_frame() {
     six_ways("--spp 128 --size 192x192");
 }
 
-/// Tiles of 8 to 128 samples a pixel.
+/// Tests tiles of 8 to 128 samples per pixel.
 #[test]
 #[ignore = "minutes: cargo test --release -p femc --test suite -- --ignored --nocapture six_ways"]
 fn six_ways_to_one_frame_of_uneven_tiles() {
     six_ways("--error 0.03 --size 192x192");
 }
 
-/// Renders the frame of a foggy Cornell box in six ways; `FEMC_SIX_WAYS` names another scene.
+/// Renders the frame of a foggy Cornell box in six ways and compares them; `FEMC_SIX_WAYS` names another scene.
 fn six_ways(settings: &str) {
     let place = Place::new();
     let scene = std::env::var("FEMC_SIX_WAYS")
@@ -264,7 +264,7 @@ fn six_ways(settings: &str) {
     assert!(workers[1].kill(), "the victim was alive");
     ways.push(("three worker processes, one killed half way", get(&url, &job, "killed")));
 
-    // Another seed would be another frame; the same job again would be answered from the store: a fresh farm.
+    // Use a fresh farm. The same job on the old farm would be answered from the store, and another seed would be another frame.
     drop((farm, workers));
     for name in ["farm.db", "farm.db-wal", "farm.db-mark"] {
         let _ = std::fs::remove_file(place.path(name));
@@ -300,7 +300,7 @@ fn six_ways(settings: &str) {
     }
 }
 
-/// Where the store keeps the image of a frame.
+/// Returns the path of a frame's image in the store.
 fn image(place: &Place, fetched: &str) -> std::path::PathBuf {
     let bytes = std::fs::read(place.path(fetched)).expect("it was fetched");
     place.path("artifacts").join(femc_store::place(&femc_model::Digest::of(&bytes)).to_string())

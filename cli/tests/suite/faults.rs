@@ -1,5 +1,5 @@
-//! Real processes killed, stopped and cut off at chosen points: each fault leaves a token when its point is reached, and the
-//! frames are those of one process all the same.
+//! Fault injection: real processes are killed, stopped and disconnected at chosen points. Each fault leaves a token file when its
+//! point is reached. The frames must equal those of one process.
 #![cfg(all(unix, debug_assertions))]
 
 use std::collections::BTreeMap;
@@ -14,33 +14,34 @@ use crate::common::{PATIENCE, Place, Running, names};
 use femc_queue::{Queue as _, Sqlite};
 use femc_schedule::Fact;
 
-/// Two frames of four tiles; a tile takes some tenths of a second.
+/// Settings of a job: two frames of four tiles; a tile takes some tenths of a second.
 const SETTINGS: &str = "--spp 64 --size 32x32 --frames 1..2";
-/// Submitted frames are made of a group of three tiles and one of one; those of `femc render` of four tiles at once.
+/// Tasks of a submitted job: per frame four tiles, two groups (of three tiles and of one) and an image. `femc render` reduces four
+/// tiles at once.
 const TASKS: usize = 2 * (4 + 2 + 1);
-/// Points that are tried side by side: most of their time goes by with waiting.
+/// Number of points that are tested in parallel. Most of a test's time is waiting.
 const LANES: usize = 4;
 
-/// After which a worker that was stopped has said all that it had to say: a lease.
+/// Time after which a resumed worker has reported everything that it had to report: one lease.
 const SETTLED: Duration = Duration::from_secs(2);
 
-/// What happens at the point.
+/// Fault at a point.
 #[derive(Debug, Clone, Copy)]
 enum Fault {
     CoordinatorKilled,
-    /// Killed in mid-task, started again, and killed at the point.
+    /// The coordinator is killed in the middle of a task, restarted, and killed at the point.
     CoordinatorKilledTwice,
     CoordinatorStopped,
     WorkerKilled,
-    /// The same, with a finished result that nobody has acknowledged: it is on disk.
+    /// The worker is killed with a finished result that is not acknowledged: the result is on disk.
     WorkerKilledWithResult,
-    /// Stopped until others have done its work.
+    /// The worker is stopped until others have done its work.
     WorkerStopped,
     /// The worker's connections break.
     LinkCut,
-    /// Nothing passes, until the worker has noticed.
+    /// No bytes pass, until the worker has noticed.
     LinkFrozen,
-    /// The same one way.
+    /// No bytes pass in one direction, until the worker has noticed.
     LinkFrozenOneWay(Way),
     RenderKilled,
 }
@@ -70,7 +71,7 @@ const POINTS: &[(Fault, &str)] = &[
     // A tile of the first group, and the second group.
     (WorkerKilled, "worker-mid-reduce:3"),
     (WorkerKilled, "worker-mid-reduce:6"),
-    // The first group's.
+    // The result of the first group.
     (WorkerKilledWithResult, "worker-after-upload:4"),
     (WorkerStopped, "worker-in-task:1"),
     (WorkerStopped, "worker-after-upload:2"),
@@ -88,7 +89,7 @@ const POINTS: &[(Fault, &str)] = &[
     (RenderKilled, "render-after-file:1"),
 ];
 
-/// The frames' bits by name.
+/// Bits of the frames by file name.
 type Frames = BTreeMap<String, Vec<u32>>;
 
 fn frames(place: &Place, folder: &str) -> Frames {
@@ -96,7 +97,7 @@ fn frames(place: &Place, folder: &str) -> Frames {
     names(&folder).into_iter().map(|name| (name.clone(), common::pixels(&folder.join(name)))).collect()
 }
 
-/// A farm at which one fault is done.
+/// A farm in which one fault happens.
 struct Farm {
     place: Place,
     coordinator: Running,
@@ -105,7 +106,7 @@ struct Farm {
     job: String,
 }
 
-/// Waits for something that comes without a process of its own.
+/// Waits for a condition that no single process of the test belongs to.
 #[track_caller]
 fn wait(what: &str, mut condition: impl FnMut() -> bool) {
     let begun = Instant::now();
@@ -116,7 +117,7 @@ fn wait(what: &str, mut condition: impl FnMut() -> bool) {
 }
 
 fn coordinator(place: &Place, port: &str, fault: Option<&str>) -> (Running, String) {
-    // Few changes are enough for a snapshot where one is waited for.
+    // Tests that wait for a snapshot need only a few changes.
     let compact = if fault.is_some_and(|fault| fault.contains("snapshot")) { 4 } else { 20_000 };
     let line = format!(
         "coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts --lease 2s --compact {compact}"
@@ -143,7 +144,8 @@ fn worker(place: &Place, name: &str, url: &str, fault: Option<&str>) -> Running 
     place.start_command(name, &mut command)
 }
 
-/// What the log says was done, each with the lease's epoch, and whether it is all that was; of a farm whose coordinator is gone.
+/// Returns the finished tasks in the log, each with its lease's epoch, and whether the log is complete (without a snapshot). The
+/// coordinator must have ended.
 fn effects(place: &Place) -> (Vec<String>, bool) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     let contents = runtime.block_on(async {
@@ -170,7 +172,7 @@ fn effects(place: &Place) -> (Vec<String>, bool) {
 }
 
 impl Farm {
-    /// With a job on its way.
+    /// Creates a farm and submits a job.
     fn new(place: Place, fault: Option<&str>) -> Self {
         let (coordinator, url) = coordinator(&place, "0", fault);
         let mut submission = place.command(&format!("submit fog.mgf {SETTINGS} --server {url}"));
@@ -178,32 +180,32 @@ impl Farm {
         Self { place, coordinator, url, submission, job: String::new() }
     }
 
-    /// The fault has come to its point.
+    /// Waits until the fault has reached its point.
     fn fires(&self) {
         wait("the token", || self.place.path("token").exists());
     }
 
-    /// What stands at the point goes on.
+    /// Lets the process that waits at the point continue.
     fn release(&self) {
         std::fs::remove_file(self.place.path("token")).expect("the token was there");
-        // Removed, it still proves that the fault fired.
+        // This file proves that the fault fired, after the token is removed.
         self.place.write("fired", "");
     }
 
-    /// Kills the coordinator and starts it again at its address.
+    /// Kills the coordinator and restarts it at the same address.
     fn restart(&mut self, fault: Option<&str>) {
         assert!(self.coordinator.kill(), "it was alive");
         let port = self.url.rsplit(':').next().expect("a port").to_owned();
         self.coordinator = coordinator(&self.place, &port, fault).0;
     }
 
-    /// The submission has its answer.
+    /// Waits for the answer to the submission.
     fn submitted(&mut self) {
         let ran = self.submission.end().exits(0);
         self.job = ran.stdout().lines().last().expect("a job").to_owned();
     }
 
-    /// Samples and frames that are done.
+    /// Returns the finished samples and frames.
     fn done(&self) -> (u64, u64) {
         let status = common::status(&self.place, &self.url, &self.job);
         let number = |key: &str| status[key].as_u64().expect("a number");
@@ -211,7 +213,7 @@ impl Farm {
         (number("samples"), number("frames_done"))
     }
 
-    /// Waits until more than `before` is done.
+    /// Waits until more than `before` is finished.
     fn goes_on(&self, before: (u64, u64)) {
         wait("progress", || {
             let done = self.done();
@@ -229,7 +231,7 @@ impl Farm {
         frames(&self.place, "out")
     }
 
-    /// Ends it: each task had its effect once, and those of `before` are still the same.
+    /// Ends the farm and checks the log: each task took effect once, and the results in `before` are unchanged.
     fn audit(mut self, before: &[String]) {
         assert!(self.coordinator.kill(), "it was alive");
         let (effects, is_all) = effects(&self.place);
@@ -246,7 +248,7 @@ impl Farm {
     }
 }
 
-/// Comments that do not compress away stand for a mesh of more than one piece.
+/// Adds incompressible comments to the scene, which stand in for a mesh of more than one piece.
 fn large(place: &Place) {
     let mut state = 1u64;
     let mut line = |_| {
@@ -288,7 +290,7 @@ fn coordinator_killed_twice(point: &str) -> (Frames, Duration) {
     let mut farm = Farm::new(Place::new(), None);
     let _worker = worker(&farm.place, "first", &farm.url, None);
     farm.submitted();
-    // The samples that `done` counts may be those of a task under way.
+    // Wait for a finished tile: the samples that `done` counts may belong to a running task.
     wait("a tile", || {
         let status = common::status(&farm.place, &farm.url, &farm.job);
         let tiles = |frame: &serde_json::Value| frame["tiles_done"].as_u64();
@@ -347,7 +349,7 @@ fn worker_killed(point: &str, results: usize) -> (Frames, Duration) {
     farm.goes_on(before);
     let passed = begun.elapsed();
     let frames = farm.ends();
-    // What it had on disk was not done again.
+    // The results on the worker's disk were not computed again.
     farm.audit(&kept);
     (frames, passed)
 }
@@ -368,7 +370,7 @@ fn worker_stopped(point: &str) -> (Frames, Duration) {
     let before = (farm.done(), farm.place.run(&format!("fetch {} -o then --server {}", farm.job, farm.url)).code());
     victim.signal("CONT");
     let woken = Instant::now();
-    // It says what it has to say: in a new session, or in the old one, if an answer is quicker than its own doubt.
+    // The worker reports its results: in a new session, or in the old one if the answer comes before it doubts the connection.
     wait("its return", || {
         let is_back = farm.place.read("first.err").matches("joined").count() >= 2 || woken.elapsed() > SETTLED;
         let is_empty = names(&farm.place.path("first")).iter().all(|name| !name.ends_with(".done"));
@@ -444,7 +446,7 @@ fn at_every_point_the_frames_are_those_of_one_process() {
     place.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);
     let alone = frames(&place, "alone");
     assert_eq!(alone.len(), 2);
-    // A part of a line of the table: that line alone.
+    // A part of a line of the table selects that line alone.
     let only = std::env::var("FEMC_ONLY_FAULT").unwrap_or_default();
     let points: Vec<_> = POINTS.iter().filter(|(fault, point)| format!("{fault:?} {point}").contains(&only)).collect();
     let (next, failed) = (AtomicUsize::new(0), Mutex::new(Vec::new()));

@@ -1,4 +1,4 @@
-//! Features of frames: what the camera sees first, beside or without layers of the light.
+//! Tests of features (first-hit AOVs) of frames, beside or without layers of the light.
 
 use crate::common::{Place, Running, coordinator, submit};
 use femc_film::exr::{read, read_channels};
@@ -50,7 +50,7 @@ fn features_of_a_farm_are_those_of_one_process_to_the_byte_with_layers_and_witho
     let id = |name: &str| format!("{:08x}", cryptomatte::id(name));
     let manifest: BTreeMap<String, String> = serde_json::from_str(text("crypto_material", "manifest")).expect("JSON");
     assert_eq!(manifest, ["lamp", "wall"].map(|name| (name.to_owned(), id(name))).into());
-    // Nothing is in an object there.
+    // No surface belongs to an object there.
     assert_eq!(text("crypto_object", "manifest"), r#"{"default":"42c9679f"}"#);
 }
 
@@ -64,7 +64,7 @@ fn a_job_file_names_features_and_names_of_features_are_no_layers() {
     let report = place.run("render job.toml -o out.exr --json").exits(0).json();
     assert_eq!(report["rendered"], 0, "it is there");
     assert!(read_channels(&place.path("out.layers.exr"), ["depth.Z"]).is_ok());
-    // Another feature is another frame.
+    // A different feature makes it a different frame.
     let report = place.run("render job.toml -o out.exr --layers normal --json").exits(0).json();
     assert_eq!(report["rendered"], 1);
     assert!(read_channels(&place.path("out.layers.exr"), ["depth.Z", "normal.Z"]).is_ok());

@@ -1,4 +1,4 @@
-//! `femc field`: the file by a strict reader, and its values beside the solution's.
+//! Tests of `femc field`: a strict reader parses the file, and its values are compared with the solution.
 
 use crate::common::Place;
 use femc_pipeline::radiosity::{Look, Options, solve};
@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// A ball above a floor under a lamp, whose middle is far from the origin, and a sheet that light comes through. The camera looks at
+/// A ball above a floor under a lamp, with its middle far from the origin, and a sheet that transmits light. The camera looks at
 /// the middle of the floor, which is `GRAY`.
 const BALL: &str = "\
 camera main =
@@ -80,7 +80,7 @@ xf
 ";
 const GRAY: f32 = 0.5;
 
-/// A file of binary glTF that keeps the rules of the format.
+/// A binary glTF file that has passed the checks of the format.
 struct Gltf {
     document: Value,
     buffer: Vec<u8>,
@@ -198,7 +198,7 @@ impl Gltf {
         list(&self.document, "meshes").iter().flat_map(|mesh| list(mesh, "primitives"))
     }
 
-    /// The triangles of a mesh.
+    /// Returns the triangles of a mesh.
     fn mesh(&self, name: &str) -> &Value {
         let mesh = list(&self.document, "meshes").iter().find(|mesh| mesh["name"] == name);
         &mesh.unwrap_or_else(|| panic!("no mesh {name}"))["primitives"][0]
@@ -217,7 +217,7 @@ impl Gltf {
         indices.chunks_exact(3).map(|c| [c[0] as usize, c[1] as usize, c[2] as usize]).collect()
     }
 
-    /// Area vector of all triangles, and area.
+    /// Returns the area vector of all triangles, and their area.
     fn areas(&self, name: &str) -> ([f64; 3], f64) {
         let primitive = self.mesh(name);
         let positions = self.vectors(primitive, "POSITION");
@@ -233,7 +233,7 @@ impl Gltf {
         self.document["scenes"][0]["extras"]["scale"].as_f64().expect("a scale")
     }
 
-    /// Vertices of a mesh at a place of the scene's own coordinates, m.
+    /// Returns the vertices of a mesh at a position in the scene's own coordinates, m.
     fn at(&self, primitive: &Value, place: [f64; 3]) -> Vec<usize> {
         let origin = &self.document["scenes"][0]["extras"]["origin"];
         let want = [0, 1, 2].map(|k| place[k] - origin[k].as_f64().expect("a number"));
@@ -353,7 +353,7 @@ fn colors_over_the_scale_are_the_solution_s_light() {
     }
     assert!(solution.field.surfaces.iter().any(|surface| surface.side == Side::Back), "the sheet has a back");
 
-    // An image of the same point by the same method, whose direct light is found by shadow rays.
+    // Render the same point with the same method. Its direct light is computed with shadow rays.
     place.run("render ball.mgf -o ball.exr --method fem --spp 256").exits(0);
     let image = femc_film::exr::read(&place.path("ball.exr")).expect("an image").image;
     let pixels = image.pixels.iter().map(|pixel| luminance(pixel.map(f64::from)));
@@ -361,10 +361,11 @@ fn colors_over_the_scale_are_the_solution_s_light() {
     let shown = middle.iter().map(|&vertex| luminance(radiance[vertex])).sum::<f64>() / middle.len() as f64;
     assert!((shown / seen - 1.0).abs() < 0.05, "{shown} in the file, {seen} in the image");
 
-    // The ball and the sheet, both of whose sides send light.
+    // The ball, and the sheet, whose sides both send light.
     let (closed, area) = gltf.areas("ball");
     assert!((area / (4.0 * std::f64::consts::PI * 0.09) - 1.0).abs() < 0.01, "{area}");
-    // Where leaves are finer than the file's grid, gaps are narrower than its chords are from the ball: 2e-5 of the scene's extent.
+    // Where leaves are finer than the file's grid, gaps are narrower than the distance of its chords from the ball: 2e-5 of the
+    // scene's extent.
     assert!(closed.iter().all(|sum| sum.abs() < 1e-3 * area), "a closed surface: {closed:?}");
     let [(front, _), (back, _)] = ["sheet", "sheet, back"].map(|name| gltf.areas(name));
     assert!((front[0] + back[0]).abs() < 1e-6 && front[0].abs() > 0.79, "{front:?} {back:?}");
@@ -380,7 +381,7 @@ fn colors_over_the_scale_are_the_solution_s_light() {
         "the shadow side has the light that comes through: {shadow} {through}"
     );
     assert!((1.0..1.1).contains(&(lit / reflected)), "the lit side has what it reflects: {lit} {reflected}");
-    // y is up, and the origin is put back.
+    // The root node turns y up and adds the origin back.
     let nodes = list(&gltf.document, "nodes");
     let root = nodes.last().expect("a root");
     let origin: Vec<f64> = list(root, "translation").iter().filter_map(Value::as_f64).collect();
@@ -430,7 +431,7 @@ fn in_a_closed_box_that_shines_all_that_is_sent_is_kept() {
     let gltf = Gltf::read(&place.path("box.glb"));
     let (sum, area) = gltf.areas("wall");
     assert!((area - 6.0).abs() < 1e-4 && sum.iter().all(|sum| sum.abs() < 1e-4), "{sum:?} {area}");
-    // Of luminance 1 by itself and half of what arrives.
+    // Emitted luminance 1, plus half of the arriving light.
     for light in gltf.vectors(gltf.mesh("wall"), "_RADIANCE") {
         assert!((luminance(light) - 2.0).abs() < 0.02, "{light:?}");
     }

@@ -1,8 +1,9 @@
-//! `femc fireflies`.
+//! Tests of `femc fireflies`.
 
 use crate::common::Place;
 
-/// A plate of chrome throws the light of a small bright lamp, which is turned away from it all, down to the floor: paths have to hit it by chance.
+/// A chrome plate reflects the light of a small bright lamp down to the floor. The lamp is turned away from everything else, so
+/// paths only hit it by chance.
 const CAUSTIC: &str = "\
 camera main =
 \torigin 0 -3 1.5
@@ -91,7 +92,7 @@ fn the_shares_of_an_account_are_all_of_the_variance_and_of_the_light() {
     }
 }
 
-/// What a first pass has guided is a technique of its own in a guided frame, and in no other.
+/// Checks that guided sampling is a technique of its own in a guided frame, and in no other.
 #[test]
 fn light_that_came_by_a_guided_direction_is_named() {
     let place = Place::new();

@@ -1,4 +1,4 @@
-//! The first pass on a farm: each world has one task, and any worker that solves it makes the same bytes.
+//! Tests of the first pass on a farm: each world has one task, and every worker that solves it produces the same bytes.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use femc_model::{Digest, Role, TaskKey};
 use femc_queue::Queue as _;
 use femc_schedule::Fact;
 
-/// The room, in which nothing changes but the view.
+/// Creates a folder with the room, in which only the view changes.
 fn place() -> Place {
     let place = Place::new();
     let text = FOG.replace("vary medium.fog.sigma_s = 0 0.02 1 0.3", "vary camera.main.fov = 0 40 1 30");
@@ -16,7 +16,7 @@ fn place() -> Place {
     place
 }
 
-/// By the log: how many first passes were begun, and the solution of each, by its task.
+/// Reads from the log how many first passes began, and the solution of each, by its task.
 async fn solutions(place: &Place) -> (usize, BTreeMap<TaskKey, Digest>) {
     let mut log = femc_queue::Sqlite::open(&place.path("farm.db")).await.expect("a log");
     let (mut begun, mut done) = (0, BTreeMap::new());
@@ -36,7 +36,7 @@ async fn solutions(place: &Place) -> (usize, BTreeMap<TaskKey, Digest>) {
     (begun, done)
 }
 
-/// The solutions alone, in the order in which they were asked for.
+/// Returns only the solutions, in the order of their requests.
 async fn fields_of(place: &Place) -> Vec<Digest> {
     solutions(place).await.1.into_values().collect()
 }
@@ -45,13 +45,13 @@ fn run<T>(work: impl Future<Output = T>) -> T {
     tokio::runtime::Runtime::new().expect("a runtime").block_on(work)
 }
 
-/// Asks for frames of a scene with a first pass; the job's number.
+/// Submits frames of a scene with a first pass. Returns the job's number.
 fn ask(place: &Place, url: &str, scene: &str, method: &str) -> String {
     let line = format!("submit {scene} --server {url} --method {method} --spp 4 --frames 1..2");
     place.run(&line).exits(0).stdout().trim().to_owned()
 }
 
-/// Fetches the job's frames and compares them with frames that one process has rendered: the pixels are the same.
+/// Fetches the job's frames and checks that their pixels equal those of one process.
 fn claim_frames(place: &Place, url: &str, job: &str, scene: &str, method: &str, threads: u32) {
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
@@ -72,7 +72,7 @@ fn frames_of_one_world_have_one_first_pass_and_neither_workers_nor_threads_chang
         let (mut farm, url) = coordinator(&place, 0);
         let _workers: Vec<Running> =
             (0..workers).map(|_| place.start(&format!("worker --join {url} --threads {threads}"))).collect();
-        // To be looked at, and to guide paths: a solution of each.
+        // The two methods have a solution each: one is shown directly, the other guides paths.
         for method in ["fem", "femc"] {
             let job = ask(&place, &url, "still.mgf", method);
             claim_frames(&place, &url, &job, "still.mgf", method, 3 - threads);
@@ -151,7 +151,7 @@ fn a_worker_that_is_killed_while_it_solves_costs_the_others_one_solution() {
     assert_eq!((begun, done.len()), (1, 1), "{done:?}");
 }
 
-/// The same, as a solution in so many blocks.
+/// Like [`ask`], with a solution in this many blocks.
 fn ask_in_blocks(place: &Place, url: &str, scene: &str, method: &str, blocks: u32) -> String {
     let line = format!("submit {scene} --server {url} --method {method} --spp 4 --frames 1..2");
     let mut submission = place.command(&line);
@@ -165,7 +165,7 @@ fn a_first_pass_in_blocks_is_the_same_to_the_bit_for_any_number_of_workers_and_i
         let place = place();
         let (mut farm, url) = coordinator(&place, 0);
         let line = format!("worker --join {url} --threads 1 --outbox memory");
-        // It stands still in the midst of the blocks, until it is killed there.
+        // This worker stops in the middle of the blocks, until it is killed there.
         let token = place.path("token");
         let fault = format!("worker-before-task:9:{}", token.display());
         let mut victim = (workers == 3).then(|| Running::of(place.command(&line).env("FEMC_FAULT", fault)));
@@ -185,7 +185,7 @@ fn a_first_pass_in_blocks_is_the_same_to_the_bit_for_any_number_of_workers_and_i
     }
     assert_eq!(fields[0].len(), 2, "{fields:?}");
     assert!(fields.iter().all(|found| *found == fields[0]), "{fields:?}");
-    // And one task that solves it in one go makes the same.
+    // A single task that solves it as a whole produces the same bytes.
     let place = place();
     let (mut farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 2"));
@@ -224,7 +224,7 @@ fn a_plan_says_how_many_solutions_the_frames_share() {
     assert_eq!((tasks, stages), (fewer.map(|n| n + 1), before.map(|n| n + 1)));
 }
 
-/// Where no `--method` is given a pilot decides whether a first pass is solved; `plan` and `submit` decide alike.
+/// Checks that without `--method` a pilot decides whether a first pass is solved, with the same result in `plan` and `submit`.
 #[test]
 fn a_large_job_of_a_room_is_guided_by_a_first_pass_and_a_small_one_is_not() {
     let place = Place::new();
@@ -240,7 +240,7 @@ fn a_large_job_of_a_room_is_guided_by_a_first_pass_and_a_small_one_is_not() {
     assert_eq!((&small["method"], &small["choice"]["pilot"]), (&"pt".into(), &serde_json::Value::Null), "{small}");
     let reason = &small["left_out"][0]["reason"];
     assert!(reason.as_str().is_some_and(|reason| reason.starts_with("the job is small")), "{small}");
-    // A plan without a trial draws no samples, a method that is named needs none.
+    // A plan without a trial draws no samples, and a named method needs none.
     assert_eq!(plan("--size 160x120 --spp 16384 --no-trial")["method"], "pt");
     assert_eq!(plan("--size 160x120 --spp 16384 --method pt")["choice"], serde_json::Value::Null);
 

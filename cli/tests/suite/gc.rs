@@ -1,4 +1,4 @@
-//! `femc gc` on a farm of real processes.
+//! Tests of `femc gc` on a farm of real processes.
 
 use crate::common::{Place, coordinator_with, names};
 use std::fs::File;

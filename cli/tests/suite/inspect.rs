@@ -1,4 +1,4 @@
-//! `femc plan`, `femc check`, `femc compare`.
+//! Tests of `femc plan`, `femc check` and `femc compare`.
 
 use crate::common;
 use crate::common::{Place, coordinator, submit};
@@ -49,7 +49,7 @@ fn a_trial_estimates_the_cost_and_leaves_nothing_behind() {
     assert!(plan["cost"]["seconds_most"].as_f64().is_some_and(|seconds| seconds > 0.0), "{plan}");
     let said = place.run("plan fog.mgf --spp 16").exits(0).stdout();
     assert!(said.contains("estimated cost") && said.contains("left out"), "{said}");
-    // Where the error ends a frame, a pilot says what is likely, between the first round and the last.
+    // If an error goal ends a frame, a pilot estimates the likely cost, between the first round and the last.
     let plan = place.run("plan fog.mgf --error 0.1 --json").exits(0).json();
     let [least, likely, most] =
         [&plan["samples_least"], &plan["cost"]["likely"]["samples_a_pixel"], &plan["samples_most"]]

@@ -1,4 +1,4 @@
-//! Stopped renders go on.
+//! Tests of interrupted renders that resume.
 
 use crate::common;
 use crate::common::{Place, Running, names};
@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 const LINE: &str = "render fog.mgf -o out --spp 12 --size 64x64 --threads 1";
 
-/// Frame 1 is there, frame 8 is not.
+/// Waits until frame 1 is finished, and checks that frame 8 is not.
 fn under_way(place: &Place, render: &mut Running) {
     let out = place.path("out");
     render.wait_until("its first frame", || out.join("fog.0001.exr").exists());
@@ -17,7 +17,7 @@ fn written(place: &Place) -> SystemTime {
     place.path("out/fog.0001.exr").metadata().and_then(|data| data.modified()).expect("a time")
 }
 
-/// What an undisturbed run gives.
+/// Renders the same frames without interruption.
 fn reference(place: &Place) -> Vec<u32> {
     place.run(&LINE.replace("-o out", "-o reference").replace("--threads 1", "--threads 2")).exits(0);
     common::pixels(&place.path("reference/fog.0008.exr"))

@@ -1,4 +1,5 @@
-//! Layers of frames: their file lies beside the frame, a farm makes the same bytes as one process, and the layers sum up to the picture.
+//! Tests of layers: their file lies beside the frame, a farm makes the same bytes as one process, and the layers sum up to the
+//! picture.
 
 use crate::common::{Place, Running, coordinator, status, submit};
 use femc_film::exr::{read, read_channels};
@@ -11,7 +12,7 @@ fn worker(place: &Place, url: &str) -> Running {
     place.start(&format!("worker --join {url} --threads 1"))
 }
 
-/// The layers `names` of a frame sum up to its picture.
+/// Checks that the layers `names` of a frame sum up to its picture.
 fn part(place: &Place, frame: &str, names: &[&str]) {
     let picture = read(&place.path(&format!("{frame}.exr"))).expect("a picture").image;
     let file = place.path(&format!("{frame}.layers.exr"));
@@ -72,7 +73,7 @@ fn a_job_file_names_layers_and_pictures_have_one_png_each() {
     place.write("job.toml", text);
     place.run("render job.toml -o out.exr").exits(0);
     part(&place, "out", &["direct", "indirect"]);
-    // Without its layers a frame is not there.
+    // A frame without its layers counts as missing.
     std::fs::remove_file(place.path("out.layers.exr")).expect("layers");
     let report = place.run("render job.toml -o out.exr --json").exits(0).json();
     assert_eq!((&report["rendered"], &report["layers"][0]), (&1.into(), &"out.layers.exr".into()));

@@ -1,4 +1,4 @@
-//! What workers wrote down, as `femc logs` prints it.
+//! Tests of task logs, as `femc logs` prints them.
 
 use crate::common;
 use crate::common::{Place, coordinator, submit};
@@ -27,11 +27,11 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
     assert_eq!(none.stdout(), "");
     assert!(none.stderr().contains("the job has 10 logs of other attempts"), "{}", none.stderr());
 
-    // A scene that nobody can read.
+    // A scene that cannot be parsed.
     place.write("fog.mgf", &common::FOG.replace("origin 0 -3.4 1", "origin 0 -3.4"));
     let ran = place.run(&format!("submit fog.mgf --spp 1 --server {url}"));
     assert_eq!(ran.code(), Some(1), "it is refused before it is submitted");
-    // A worker without memory gives tasks back.
+    // A worker with too little memory gives tasks back.
     place.write("fog.mgf", common::FOG);
     drop(worker);
     let other = submit(&place, &url, "--spp 2 --frames 1");

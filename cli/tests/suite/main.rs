@@ -1,4 +1,4 @@
-//! The program, as people run it: real processes in temporary folders, a module a topic.
+//! Tests of the program as users run it: real processes in temporary folders, one module per topic.
 
 mod accounts;
 mod attacks;

@@ -1,8 +1,9 @@
-//! The manual's commands do what it says: each page of `docs/` is a script.
+//! Tests of the manual: each page of `docs/` is run as a script.
 //!
-//! Blocks marked `sh` run in the order of the page, in a folder with a copy of `scenes/` and `deploy/`; those marked
-//! `toml file=NAME` (or `mgf`, `ies`) are written there, those marked `python` run where pandas and polars are. Those marked
-//! `text` are what a program says, or, with `by=FILE`, what that test runs. Any command that fails, fails the page.
+//! Blocks marked `sh` run in the order of the page, in a folder with a copy of `scenes/` and `deploy/`. Blocks marked
+//! `toml file=NAME` (or `mgf`, `ies`) are written there. Blocks marked `python` run if pandas and polars are installed. Blocks
+//! marked `text` are output of a program, or, with `by=FILE`, commands that the named test runs. A page fails if any of its
+//! commands fails.
 #![cfg(unix)]
 
 use femc_require::Need;
@@ -13,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// What the script begins with: processes that it leaves behind end with it.
+/// Beginning of the script: background processes end with it.
 const BEGIN: &str = "set -euo pipefail\n\
     export FEMC_SERVER=http://127.0.0.1:7878\n\
     trap 'kill -9 $(jobs -p) 2>/dev/null || true' EXIT\n\
@@ -26,7 +27,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// A block between fences, and what the first fence says of it.
+/// A block between fences, and the attributes of its first fence.
 struct Block {
     is: String,
     text: String,
@@ -51,8 +52,8 @@ fn blocks(page: &str) -> Vec<Block> {
     blocks
 }
 
-/// A free port from 20000 to 31999. The system gives ports of this range to nobody (its own begin at 32768), so the port is still free when
-/// the page uses it.
+/// Returns a free port from 20000 to 31999. The system assigns no ports in this range (its own begin at 32768), so the port is
+/// still free when the page uses it.
 fn free_port() -> String {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     let is_free = |port: &u32| TcpListener::bind(("127.0.0.1", *port as u16)).is_ok();
@@ -70,7 +71,7 @@ fn python() -> Option<String> {
     Need::Python.or_skip(python, "a block that needs pandas and polars (tests/python installs them)")
 }
 
-/// The page as a script.
+/// Returns the page as a script.
 fn script(page: &str) -> String {
     let mut script = BEGIN.to_owned();
     for Block { is, text } in blocks(page) {
@@ -78,7 +79,8 @@ fn script(page: &str) -> String {
         match (words.next(), words.next().and_then(|word| word.strip_prefix("file="))) {
             (Some("sh"), None) => {
                 for line in text.lines() {
-                    // Whoever types has seen that it listens, and that it is gone.
+                    // A reader would have seen that the coordinator listens, and that a killed process is gone. The script waits
+                    // for both.
                     let listens = line.starts_with("femc coordinator") && line.ends_with('&');
                     let dies = line.strip_prefix("kill -9 ").and_then(|who| who.split_whitespace().next());
                     let seen = match dies {
@@ -117,7 +119,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Run a page of `docs/`, with these variables set.
+/// Runs a page of `docs/` with these variables.
 fn runs(page: &str, variables: &[(&str, String)]) {
     let text = std::fs::read_to_string(root().join("docs").join(page)).expect("a page");
     let folder = tempfile::tempdir().expect("a folder");
@@ -139,7 +141,7 @@ fn runs(page: &str, variables: &[(&str, String)]) {
     assert!(!output.contains("panicked"), "docs/{page}\n{output}");
 }
 
-/// A test for each page, and one that says if a page has none.
+/// Defines a test for each page, and one that fails if a page has no test.
 macro_rules! pages {
     ($($test:ident: $page:literal,)*) => {
         const PAGES: &[&str] = &[$($page),*];
@@ -173,7 +175,7 @@ pages! {
     scenes: "scenes.md",
 }
 
-/// Artifacts are in a bucket under `tests/s3`, else in a folder.
+/// Runs with artifacts in a bucket under `tests/s3`, else in a folder.
 #[test]
 fn postgres_and_s3() {
     let Some(database) = Need::Postgres.variable("FEMC_TEST_POSTGRES") else { return };
@@ -182,7 +184,7 @@ fn postgres_and_s3() {
     runs("postgres-s3.md", &[("DATABASE", database), ("BUCKET", bucket)]);
 }
 
-/// Pages whose commands other tests run (`postgres_and_s3`, `openjd`), or without commands.
+/// Pages without commands, or whose commands other tests run (`postgres_and_s3`, `openjd`).
 const OTHERS: [&str; 5] = ["README.md", "design.md", "openjd.md", "postgres-s3.md", "wire.md"];
 
 #[test]

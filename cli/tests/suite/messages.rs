@@ -1,4 +1,4 @@
-//! What people are told when something is in the way: by its cause, with what to do.
+//! Tests of messages about problems: they must name the cause and a remedy.
 #![cfg(unix)]
 
 use crate::common;
@@ -8,7 +8,7 @@ use std::net::TcpListener;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A farm of its own authority, and a user of it.
+/// Starts a farm with its own authority and creates a user of it.
 fn encrypted(place: &Place) -> (Running, String) {
     place.run("ca init").exits(0);
     for holder in ["coordinator farm", "worker w1", "user ann --role submitter", "user eve --role viewer"] {
@@ -22,7 +22,7 @@ fn encrypted(place: &Place) -> (Running, String) {
     (farm, url)
 }
 
-/// A program that answers as a web server of the old kind does.
+/// Starts a server that answers like an old web server.
 fn web_server() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let url = format!("http://{}", listener.local_addr().expect("its address"));
@@ -66,7 +66,7 @@ fn who_cannot_be_talked_to_is_not_told_as_a_coordinator_that_was_not_started() {
 #[test]
 fn who_takes_connections_and_says_nothing_is_told_and_a_worker_waits_for_it() {
     let place = Place::new();
-    // As the near end of a tunnel does whose far end is not up yet; after some connections it is gone.
+    // Acts like the near end of a tunnel whose far end is not up yet; after some connections it closes.
     let tunnel = TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = tunnel.local_addr().expect("its address").port();
     let url = format!("http://127.0.0.1:{port}");
@@ -132,7 +132,7 @@ fn why_tells_a_stopped_worker_and_one_without_memory_as_what_they_are() {
     let mut poor = place.start(&format!("worker --join {url} --threads 1 --memory 1MiB"));
     farm.wait_until("the limit is told", || why().contains("(--memory)"));
     poor.kill();
-    // Its surroundings leave it nothing to do: the job has no tags that it has.
+    // The worker's environment leaves it nothing to do, because the job's tags are not its own.
     let tagged = submit(&place, &url, "--spp 100000 --frames 1 --tags lab --size 64x64");
     let mut worker = place.start(&format!("worker --join {url} --threads 1 --tags lab"));
     let tiles = || common::status(&place, &url, &tagged)["active"][0]["running"].as_u64().unwrap_or(0);

@@ -1,4 +1,4 @@
-//! What services show of themselves agrees with what they did, and what watches them names nothing else.
+//! Tests of metrics: the values agree with the work that was done, and dashboards and alerts only use existing names.
 
 use crate::common::http::{ask, free_port, get, metrics};
 use crate::common::{Place, Running, status, submit};
@@ -29,7 +29,7 @@ fn the_numbers_are_those_of_the_job() {
     farm.wait_until("the job's end", || status(&place, &url, &job)["state"] == "done");
     let attempts = place.run(&format!("stats {job} --by attempt --json --server {url}")).exits(0).json();
     let attempts = attempts.as_array().expect("a list").len() as f64;
-    // The last acknowledgement may be on its way.
+    // The last acknowledgement may still be on its way.
     worker.wait_until("all acknowledged", || metrics(own).sum("femc_worker_tasks_done_total", &[]) == attempts);
 
     for (path, code) in [("/api/v1/jobs", 200), ("/api/v1/jobs/99", 404), ("/api/v1/jobs/98", 404)] {
@@ -84,7 +84,7 @@ fn a_worker_without_a_coordinator_is_well_and_not_ready() {
     assert_eq!(code("/"), Some(404));
 }
 
-/// The names of metrics in a text.
+/// Returns the names of metrics in a text.
 fn names(text: &str) -> BTreeSet<&str> {
     let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'));
     words.filter(|word| word.starts_with("femc_") || word.starts_with("process_")).collect()

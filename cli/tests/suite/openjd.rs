@@ -1,5 +1,5 @@
-//! Open Job Description by the real binary; templates are checked and run by the reference implementation, where
-//! `tests/python` has put it.
+//! Tests of Open Job Description with the real binary. Templates are checked and run by the reference implementation, if
+//! `tests/python` has installed it.
 
 #![cfg(feature = "openjd")]
 
@@ -9,7 +9,7 @@ use femc_require::Need;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// 2 x 2 variants of 4 frames.
+/// A job with 2 x 2 variants of 4 frames.
 const JOB: &str = "scene = \"fog.mgf\"\nsize = \"24x16\"\nspp = 2\nframes = \"1..4\"\nthreads = 1\n\
     [sweep]\n\"medium.fog.sigma_s\" = [0.01, 0.2]\nseed = [1, 2]\n";
 
@@ -55,12 +55,12 @@ fn what_cannot_be_read_or_used_has_its_exit_code() {
     place.run("openjd import bad.yaml -o job.toml -p Nonsense").exits(2);
 }
 
-/// The programs of the reference implementation.
+/// Returns the folder of the reference implementation's programs.
 fn programs() -> Option<PathBuf> {
     Need::Python.variable("FEMC_TEST_PYTHON_BIN").map(PathBuf::from)
 }
 
-/// `openjd` with the words of `line`; it finds this build's `femc`.
+/// Runs `openjd` with the words of `line`; it uses this build's `femc`.
 fn openjd(place: &Place, line: &str) -> Option<common::Ran> {
     let femc = PathBuf::from(env!("CARGO_BIN_EXE_femc")).parent().expect("its folder").to_owned();
     let path = std::env::var_os("PATH").unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Spans come to a collector, with the ids of what they are about: cargo test -p femc --features otel --test suite otel
+//! Tests that spans reach a collector, with the ids of their jobs and tasks: cargo test -p femc --features otel --test suite otel
 #![cfg(feature = "otel")]
 
 use crate::common;

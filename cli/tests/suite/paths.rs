@@ -1,4 +1,4 @@
-//! Light statistics: `--stats` and `femc paths`.
+//! Tests of light statistics: `--stats` and `femc paths`.
 
 use crate::common::{Place, Running, coordinator, pixels, status, submit};
 use femc_pipeline::paths::histogram::{Histograms, Table};
@@ -17,7 +17,7 @@ fn worker(place: &Place, url: &str) -> Running {
     place.start(&format!("worker --join {url} --threads 1"))
 }
 
-/// The foggy box with names.
+/// Writes the foggy box with named objects.
 fn named(place: &Place) {
     let text = crate::common::FOG.replace("m wall\nf a b c d\n", "m wall\no floor\nf a b c d\no\n");
     let text = text.replace("m lamp\nv i", "m lamp\no ceiling\no lamp\nv i") + "o\no\n";
@@ -55,7 +55,7 @@ fn statistics_are_the_same_for_any_workers_and_change_no_pixel() {
 #[test]
 fn paths_of_many_tiles_are_united_by_groups() {
     let place = Place::new();
-    // 17 x 16 tiles: two groups.
+    // 17 x 16 tiles, which are two groups.
     let line =
         |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 272x256 --error 3 --stats -o {out} {rest}");
     place.run(&line("one.exr", "--workers 1")).exits(0);
@@ -69,7 +69,7 @@ fn a_frame_with_a_time_counts_what_its_image_counts() {
     let place = Place::new();
     place.run("render fog.mgf --frames 5 --time 2s -o timed.exr --stats").exits(0);
     let all = statistics(&place, "timed.paths");
-    // How its samples were divided, the file says; they may leave out a pilot.
+    // The file states how its samples were divided. They may exclude a pilot.
     let said = femc_film::exr::read_attributes(&place.path("timed.exr")).expect("attributes");
     let said: serde_json::Value = serde_json::from_str(&said["femc:allocation"]).expect("an allocation");
     let begin = said["begin"].as_u64().expect("a number") as u32;
@@ -79,7 +79,7 @@ fn a_frame_with_a_time_counts_what_its_image_counts() {
     assert!(all.paths.values().all(|path| path.key.sample >= begin));
 }
 
-/// Seconds of the tasks that render and of the others, and bytes that were sent, of a job's results.
+/// Returns the seconds of the tasks that render and of the others, and the bytes sent, of a job's results.
 fn took(place: &Place, url: &str, job: &str) -> ([f64; 2], u64) {
     let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
     let (mut seconds, mut bytes) = ([0.0; 2], 0);
@@ -113,7 +113,7 @@ fn statistics_of_a_farm_with_a_killed_worker_are_those_of_one_process() {
         assert_eq!(statistics(&place, &name("out")).samples(), 40 * 24 * 6);
         kept += bytes(&place, &name("out")).len();
     }
-    // What it takes more than the same frames without; one worker less makes both take longer.
+    // Compare with the same frames without statistics; with one worker less both take longer.
     let without = submit(&place, &url, SETTINGS);
     place.run(&format!("watch {without} --server {url}")).exits(0);
     let ([render, rest], sent) = took(&place, &url, &job);
@@ -157,7 +157,7 @@ fn frames_of_a_job_are_asked_as_one_in_any_order_and_given_twice_they_count_once
     let numbers: std::collections::BTreeSet<u64> = all.iter().filter_map(|row| row["path"].as_u64()).collect();
     assert_eq!(numbers.len(), paths, "a path has a number of its own");
     assert!([2, 3].iter().all(|frame| all.iter().any(|row| row["frame"] == *frame)));
-    // One set of answers: the histograms are those of both frames, and one representative set stands for both.
+    // The union is one file: its histograms cover both frames, and it has one set of representatives.
     let samples = |line: &str| -> u64 { rows(line).iter().map(|row| row["samples"].as_u64().expect("a number")).sum() };
     let [first, second] = [a, b].map(|name| samples(&format!("{name} --table histograms")));
     assert_eq!(samples("clip --union --table histograms"), first + second);
@@ -165,7 +165,7 @@ fn frames_of_a_job_are_asked_as_one_in_any_order_and_given_twice_they_count_once
     assert_eq!(rows(&format!("{a} {b} --few 100")).len(), 200);
     let found = place.run("bottlenecks all.paths --json").exits(0).json();
     assert_eq!(found["samples"], 2 * 40 * 24 * 6);
-    // The same frame of another scene is no part of that job.
+    // The same frame of another scene does not belong to that job.
     place
         .run("render fog.mgf --frames 2 --size 40x24 --spp 6 --stats -o other.exr --set medium.fog.sigma_a=0.9")
         .exits(0);
@@ -250,7 +250,7 @@ fn full_statistics_have_all_samples_in_their_histograms_for_any_workers() {
     assert_eq!(of("some.paths"), [some.paths.len() as u64].into());
     let depths: u64 = (0..).zip(full.totals().depth).map(|(depth, samples): (u64, u64)| depth * samples).sum();
     assert!(samples("one.paths", "intersections").values().all(|sum| *sum == depths), "{depths}");
-    // A run after that one, with less, has other settings.
+    // A later run with less statistics has other settings.
     place.write("full.toml", "scene = \"fog.mgf\"\nframes = \"5\"\nspp = 2\nstats = \"full\"\n");
     place.run("render full.toml -o job.exr").exits(0);
     assert!(statistics(&place, "job.paths").scope.is_full);
@@ -272,7 +272,7 @@ fn rare_paths_and_those_that_stand_for_all_are_listed_and_an_object_has_a_box() 
     let rare = rows("--rarest 20");
     assert_eq!(rare.len(), 20);
     assert!(rare.iter().all(|row| row["weight"].is_null()));
-    // The first is alone in a bin of some attribute.
+    // The rarest path is the only one in a bin of some attribute.
     let bins = rows("--table histograms");
     assert!(bins.iter().any(|row| row["table"] == "paths" && row["samples"] == 1));
     let on_floor = rows("--in floor --table intersections");
@@ -321,7 +321,7 @@ fn voxels_of_all_variants_of_a_sweep_have_one_root_and_their_difference_is_where
         let difference = number("energy") - number("energy_there");
         assert!((number("difference") - difference).abs() <= 1e-9 * number("energy"), "{row}");
     }
-    // Frames whose light is gone are rendered again, and nothing else is.
+    // Only frames whose statistics are missing are rendered again.
     std::fs::remove_file(&bright).expect("a file");
     place.run("sweep fog.toml -o fog --local").exits(0);
     assert!(std::path::Path::new(&bright).is_file());

@@ -1,4 +1,4 @@
-//! The example client in Python beside real coordinators and workers: run by `tests/python`.
+//! Tests of the example client in Python with real coordinators and workers; run by `tests/python`.
 
 use crate::common;
 use crate::common::{Place, Ran, Running, coordinator, names, pixels};
@@ -6,12 +6,12 @@ use femc_require::Need;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The folder of the interpreter with the packages that the example needs.
+/// Returns the folder of the Python interpreter with the packages that the example needs.
 fn programs() -> Option<PathBuf> {
     Need::Python.variable("FEMC_TEST_PYTHON_BIN").map(PathBuf::from)
 }
 
-/// `render.py` with the words of `line`, in `place`; what it says is shown.
+/// Runs `render.py` with the words of `line` in `place`, and prints its output.
 fn render(programs: &Path, place: &Place, line: &str) -> Ran {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/python/render.py");
     let mut command = Command::new(programs.join("python"));
@@ -22,7 +22,7 @@ fn render(programs: &Path, place: &Place, line: &str) -> Ran {
     ran
 }
 
-/// Rec.709, of all pixels.
+/// Returns the mean Rec. 709 luminance of all pixels.
 fn mean_luminance(path: &Path) -> f64 {
     let rgb = common::film(path).rgb;
     let pixels =
@@ -63,7 +63,7 @@ fn a_scene_of_many_files_is_sent_once_and_rendered_whole() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 1"));
-    // Small files share a piece, a large one has its own.
+    // Small files share a piece; a large file has its own.
     std::fs::create_dir_all(place.path("parts/lamps")).expect("folders");
     place.write("parts/fog.mgf", &format!("{}{}", common::FOG, "# a long comment\n".repeat(20_000)));
     place.write("parts/lamps/none.mgf", "# no lamp\n");
@@ -97,7 +97,7 @@ fn on_an_encrypted_farm_it_shows_who_it_is() {
     let _worker = place.start(&format!("worker --join {url} --threads 1 --identity w1.pem"));
     let settings = format!("fog.mgf --frames 1 --size 32x32 --spp 2 --server {url}");
     render(&programs, &place, &format!("{settings} -o one --identity ann.pem")).exits(0);
-    // The same as three files.
+    // The same identity as three files.
     let identity = place.read("ann.pem");
     let sections: Vec<&str> = identity.split_inclusive("-----\n").collect();
     let section = |n: usize| sections[2 * n..2 * n + 2].concat();

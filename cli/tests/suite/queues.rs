@@ -1,9 +1,9 @@
-//! Queues of real workers: images beside render tasks of another owner, and a lone worker on which every task fails.
+//! Tests of queues of real workers: images beside render tasks of another owner, and a single worker on which every task fails.
 
 use crate::common::{Place, Running, coordinator, submit};
 use serde_json::Value;
 
-/// All attempts at the tasks of these jobs, on one clock: the coordinator's.
+/// Returns all attempts at the tasks of these jobs, with times of the coordinator's clock.
 fn attempts(place: &Place, url: &str, jobs: &str) -> Vec<Value> {
     let rows = place.run(&format!("stats {jobs} --by attempt --json --server {url}")).exits(0).json();
     rows.as_array().expect("rows").clone()
@@ -13,7 +13,7 @@ fn seconds(row: &Value, column: &str) -> f64 {
     row[column].as_f64().unwrap_or_else(|| panic!("{column} of {row}"))
 }
 
-/// Whether an attempt was at a task of this job.
+/// Returns whether an attempt belongs to a task of this job.
 fn is_of(row: &Value, job: &str) -> bool {
     row["job"].as_u64().is_some_and(|number| Ok(number) == job.parse())
 }
@@ -24,7 +24,7 @@ fn a_finished_frame_s_image_waits_for_no_render_task_of_another_owner() {
     let (mut farm, url) = coordinator(&place, 0);
     let start = |name: &str| place.start(&format!("worker --join {url} --threads 1 --name {name}"));
     let _workers = [start("lab1"), start("lab2")];
-    // Tiles of a second or more each, more of them than can be rendered while the other job runs.
+    // Tiles of a second or more each, and more of them than can be rendered while the other job runs.
     let long: Vec<String> = (0..6).map(|_| submit(&place, &url, "--spp 1000 --frames 1..8 --owner ann")).collect();
     let long = long.join(" ");
     let renders = |all: &[Value]| -> Vec<Value> {
@@ -37,7 +37,7 @@ fn a_finished_frame_s_image_waits_for_no_render_task_of_another_owner() {
     });
     let short = submit(&place, &url, "--spp 16 --frames 1..4 --owner bob");
     place.run(&format!("watch {short} --quiet --server {url}")).exits(0);
-    // What runs now is there as an attempt only when it has ended.
+    // A running attempt is listed only after its end.
     let ended = attempts(&place, &url, &long).len();
     farm.wait_until("later render tasks", || attempts(&place, &url, &long).len() >= ended + 4);
     let all = attempts(&place, &url, &format!("{long} {short}"));
@@ -54,7 +54,7 @@ fn a_finished_frame_s_image_waits_for_no_render_task_of_another_owner() {
         let (began, worker) = (seconds(image, "began_seconds"), &image["worker"]);
         let (wait, whole) = (began - ready, seconds(image, "ended_seconds") - ready);
         println!("frame {}: its image waited for {wait:.3} s and was made after {whole:.3} s", image["frame"]);
-        // On a machine that is busy render tasks take longer, too.
+        // The bound scales with the load of the machine, because render tasks take longer, too.
         assert!(wait < bound && whole < 2.0 * bound, "{wait} s, {whole} s beside render tasks of {shortest} s");
         let is_there = |row: &&Value| seconds(row, "began_seconds") <= began && began < seconds(row, "ended_seconds");
         beside += u32::from(others.iter().filter(|row| row["worker"] == *worker).any(|row| is_there(&row)));
@@ -80,7 +80,8 @@ fn a_lone_worker_on_which_every_task_fails_pauses_and_status_says_so() {
     assert!(all.iter().all(|row| row["ending"] == "failed" && row["worker"] == "sick"), "{all:?}");
     let begins: Vec<f64> = all.iter().map(|row| seconds(row, "began_seconds")).collect();
     println!("attempts began after {begins:.1?} s");
-    // Three tasks fail, then the tasks in the queue behind them. Pauses of 1, 2, 4 and 8 s follow; load cannot make a pause shorter.
+    // Three tasks fail, then the tasks in the queue behind them. Pauses of 1, 2, 4 and 8 s follow; load cannot make a pause
+    // shorter.
     let in_first = |seconds: f64| begins.iter().filter(|&&began| began - begins[0] < seconds).count();
     assert!(in_first(0.9) <= 6, "{begins:?}");
     assert!(in_first(14.0) <= 10, "{begins:?}");

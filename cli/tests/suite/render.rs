@@ -1,4 +1,4 @@
-//! `femc render` from end to end.
+//! End-to-end tests of `femc render`.
 
 use crate::common;
 use crate::common::{Place, names};
@@ -146,7 +146,7 @@ fn samples_beyond_all_range_are_left_out_counted_and_told() {
     assert!(summary["bad"][0]["first"]["x"].is_u64(), "{summary}");
     assert!(ran.stderr().contains("warning") && ran.stderr().contains("left out"), "{}", ran.stderr());
     assert!(common::film(&place.path("a.exr")).rgb.iter().all(|value| value.is_finite()));
-    // A second run renders nothing and still tells.
+    // A second run renders nothing and still reports the bad samples.
     let again = place.run("render fog.mgf -o a.exr --spp 4 --frames 1 --set material.lamp.ed=1e30 --json").exits(0);
     assert_eq!((again.json()["rendered"].as_u64(), again.json()["bad_samples"].as_u64()), (Some(0), Some(bad)));
 }
@@ -159,7 +159,7 @@ fn samples_that_are_not_numbers_are_left_out_counted_and_told_and_their_pixels_s
     let line = "render trap.mgf -o OUT --spp 64 --frames 1 --json";
     let clean = place.run(&line.replace("OUT", "clean.exr")).exits(0).json();
     assert_eq!(clean["bad_samples"], 0);
-    // Beyond all range of numbers: in the little box the albedo becomes infinity over infinity.
+    // Overflow: in the small box the albedo becomes infinity divided by infinity.
     let ran = place.run(&format!("{} --set medium.trap.sigma_s=1e39", line.replace("OUT", "a.exr"))).exits(0);
     let summary = ran.json();
     let bad = summary["bad_samples"].as_u64().expect("a number");
@@ -167,8 +167,8 @@ fn samples_that_are_not_numbers_are_left_out_counted_and_told_and_their_pixels_s
     assert!(ran.stderr().contains(&format!("{bad} NaN")), "{}", ran.stderr());
     let (clean, image) = (common::film(&place.path("clean.exr")), common::film(&place.path("a.exr")));
     assert!(image.rgb.iter().all(|value| value.is_finite()));
-    // Where the camera looks into the box every sample is bad and the pixel is black; elsewhere some are, and the pixel
-    // keeps its value by the others.
+    // Where the camera looks into the box, every sample is bad and the pixel is black. Elsewhere some samples are bad, and the
+    // others determine the value of the pixel.
     let near = |(a, b): &(&f32, &f32)| (*a - *b).abs() <= 0.25 * b.abs();
     let kept = image.rgb.iter().zip(&clean.rgb).filter(near).count() as f64 / image.rgb.len() as f64;
     println!("{bad} NaN; {kept} of the values are within 25 %");
@@ -190,7 +190,7 @@ fn a_frame_that_had_a_time_says_how_its_samples_were_divided_and_comes_again_to_
     assert_eq!(allocation("b.exr"), Some(first));
     let again = place.run("render fog.mgf -o b.exr --replay a.exr --json").exits(0).json();
     assert_eq!(again["rendered"], 0, "it is there: {again}");
-    // Any frame of ours can be rendered again.
+    // Every frame written by femc can be replayed.
     place.run("render fog.mgf -o c.exr --frames 3 --spp 2 --set medium.fog.sigma_s=0.2").exits(0);
     place.run("render fog.mgf -o d.exr --replay c.exr").exits(0);
     assert_eq!(common::pixels(&place.path("c.exr")), common::pixels(&place.path("d.exr")));
@@ -223,7 +223,7 @@ fn ffmpeg_gets_every_frame_where_it_is_on_the_path_and_an_animated_png_stands_in
     assert_eq!(without.status.code(), Some(0));
     assert!(String::from_utf8_lossy(&without.stderr).contains("ffmpeg is not on the PATH"));
     assert!(std::fs::read(place.path("clip.png")).is_ok_and(|bytes| bytes.starts_with(b"\x89PNG")));
-    // Stands for ffmpeg: keeps what comes in, in the file that the last argument names.
+    // A fake ffmpeg, which writes its input to the file named by the last argument.
     place.write(
         "bin/ffmpeg",
         "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor out; do :; done\nexec /bin/cat > \"$out\"\n",
@@ -241,7 +241,7 @@ fn out_ending_in_png_is_one_tone_mapped_frame_and_leaves_nothing_else() {
     let auto = place.run(&format!("{line} -o a.png")).exits(0).json();
     assert_eq!((auto["files"].clone(), auto["rendered"].as_u64()), (serde_json::json!(["a.png"]), Some(1)));
     assert_eq!(names(&place.path(".")), ["a.png", "fog.mgf"]);
-    // The same picture as a preview's of the same frame.
+    // The picture equals the preview of the same frame.
     place.run(&format!("{line} -o b.exr --preview")).exits(0);
     let pixels = |name: &str| {
         let bytes = std::fs::read(place.path(name)).expect("a file");

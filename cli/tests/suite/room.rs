@@ -1,4 +1,4 @@
-//! A real coordinator on a real disk that is full, on which nobody else writes.
+//! Tests of a real coordinator on a real disk that is full, and that nobody else uses.
 
 use crate::common;
 use crate::common::http::{free_port, get, metrics};
@@ -6,11 +6,11 @@ use crate::common::{Place, share, status, submit};
 use std::path::Path;
 use std::process::Command;
 
-/// A small disk in memory, until it is dropped.
+/// A small RAM disk, which is unmounted when dropped.
 struct Disk<'a>(&'a Path);
 
 impl<'a> Disk<'a> {
-    /// `None` where only an administrator may, which is printed.
+    /// Mounts the disk. Returns `None` if only an administrator may, and prints that.
     fn mount(at: &'a Path, size: &str) -> Option<Self> {
         std::fs::create_dir_all(at).expect("a folder");
         let mount =
@@ -22,7 +22,7 @@ impl<'a> Disk<'a> {
         None
     }
 
-    /// Writes until there is no room at all.
+    /// Writes until the disk is full.
     fn fill(&self) {
         use std::io::Write as _;
         let mut file = std::fs::File::create(self.0.join("ballast")).expect("a file");
@@ -38,7 +38,7 @@ impl<'a> Disk<'a> {
 
 impl Drop for Disk<'_> {
     fn drop(&mut self) {
-        // A test that failed may still have files open there.
+        // A failed test may still have open files there.
         let _ = Command::new("umount").arg("--lazy").arg(self.0).status();
     }
 }
@@ -78,7 +78,7 @@ fn a_coordinator_whose_log_s_disk_is_full_says_so_and_goes_on_when_there_is_room
         let same = common::pixels(&place.path("out").join(&frame)) == common::pixels(&place.path("alone").join(&frame));
         assert!(same, "{frame}");
     }
-    // Killed and started again: all is there.
+    // After a kill and a restart everything is there.
     disk.fill();
     assert!(farm.kill());
     disk.empty();

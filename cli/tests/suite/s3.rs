@@ -1,11 +1,11 @@
-//! A farm whose artifacts lie on an S3 server: run by `tests/s3`.
+//! Tests of a farm with artifacts on an S3 server; run by `tests/s3`.
 
 use crate::common;
 use crate::common::outage::Outage;
 use crate::common::{Place, Running, coordinator_with, names};
 use femc_require::Need;
 
-/// A bucket's address for this test alone, on the server that `tests/s3` starts.
+/// Returns the address of a bucket for this test alone, on the server that `tests/s3` starts.
 fn bucket(name: &str) -> Option<String> {
     let bucket = Need::S3.variable("FEMC_TEST_S3")?;
     Some(format!("{bucket}/{name}/{}", std::process::id()))
@@ -74,7 +74,7 @@ fn a_store_that_goes_away_for_a_while_costs_no_task_and_no_pixel() {
 #[test]
 fn a_store_that_is_away_is_named_and_costs_no_job() {
     let place = Place::new();
-    // Nobody listens there.
+    // No server listens there.
     let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts s3://nobody/there";
     let mut command = place.command(line);
     command.env("AWS_ENDPOINT_URL", "http://127.0.0.1:9").env("AWS_ALLOW_HTTP", "true");

@@ -1,9 +1,9 @@
-//! Scenes of others: files outside the scene's folder.
+//! Tests of scenes with files outside the scene's folder.
 
 use crate::common;
 use crate::common::Place;
 
-/// `fog.mgf` in a folder of its own, its lamp in a folder beside it.
+/// Creates a folder with `fog.mgf` in a subfolder and its lamp in another one.
 fn divided() -> Place {
     let place = Place::new();
     for folder in ["models/room", "models/lib"] {
@@ -20,7 +20,7 @@ fn a_scene_reads_what_lies_below_its_root_and_says_so() {
     let place = divided();
     for command in ["render", "plan", "check"] {
         let ran = place.run(&format!("{command} models/room/room.mgf")).exits(1);
-        // Errors of the scene are the result of `check`: they are on stdout.
+        // Errors of the scene are the result of `check`, so they are on stdout.
         let refused = if command == "check" { ran.stdout() } else { ran.stderr() };
         assert!(refused.contains("models/room/room.mgf:") && refused.contains("--root"), "{command}: {refused}");
     }
@@ -48,7 +48,8 @@ fn a_job_file_has_its_root_beside_it_and_a_wrong_root_is_wrong_usage() {
     }
 }
 
-/// A house of one-sided walls whose fronts face out, the lamp outside, the camera inside; ten plates upon each other.
+/// Returns a house of one-sided walls whose fronts face outward, with the lamp outside and the camera inside, and ten plates on top
+/// of each other.
 fn odd_house() -> String {
     let walls = "camera main =\norigin 0 -1 1\ntarget 0 1 .5\nm wall =\nsides 1\nrd .5\nv a =\np -2 -2 4\nv b =\np 2 -2 4\n\
                  v c =\np 2 2 4\nv d =\np -2 2 4\nprism a b c d 4\nm lamp =\nsides 1\ned 1000\nv l =\np 0 0 9\nsph l .1\n";

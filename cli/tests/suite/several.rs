@@ -1,4 +1,4 @@
-//! Several coordinators on one PostgreSQL, as processes of their own, with workers and real frames.
+//! Tests of several coordinators on one PostgreSQL as separate processes, with workers and real frames.
 
 use std::collections::BTreeMap;
 use std::net::TcpListener;
@@ -11,7 +11,7 @@ use femc_queue::testing::Scratch;
 use femc_queue::{Postgres, Queue as _, Standby};
 use femc_schedule::Fact;
 
-/// Two coordinators' places, and a database for both.
+/// Addresses of two coordinators, and a database for both.
 struct Farm {
     place: Place,
     runtime: tokio::runtime::Runtime,
@@ -19,14 +19,14 @@ struct Farm {
     urls: [String; 2],
 }
 
-/// As long as a take-over takes and some more, on two slow cores.
+/// Settings of a job that takes longer than a take-over on two slow cores.
 const SETTINGS: &str = "--spp 64 --size 64x64";
 
 impl Farm {
     fn new() -> Option<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         let scratch = runtime.block_on(Scratch::new())?;
-        // Free now; who else takes ports here takes others, as the system gives them in turn.
+        // The ports are free now. Other programs get other ports, because the system assigns them in turn.
         let free = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a free port"));
         let urls = free.map(|port| format!("http://{}", port.local_addr().expect("an address")));
         Some(Self { place: Place::new(), runtime, scratch, urls })
@@ -38,12 +38,12 @@ impl Farm {
         self.place.start_as(&number.to_string(), &line)
     }
 
-    /// How often a coordinator has begun to lead.
+    /// Returns how often a coordinator has become the leader.
     fn terms(&self, number: usize) -> usize {
         self.place.read(&format!("{number}.out")).matches(&format!("listening on {}", self.urls[number])).count()
     }
 
-    /// How often a coordinator has said that the other leads.
+    /// Returns how often a coordinator has reported that the other leads.
     fn bows(&self, number: usize) -> usize {
         self.place
             .read(&format!("{number}.err"))
@@ -64,7 +64,7 @@ impl Farm {
         ran.stdout().lines().last().expect("a job id").to_owned()
     }
 
-    /// Share of the samples that are done, as the coordinator of this number has it; `None` if it does not answer.
+    /// Returns the finished share of the samples, as reported by this coordinator; `None` if it does not answer.
     fn share(&self, number: usize, job: &str) -> Option<f64> {
         let ran = self.place.run(&format!("status {job} --json --server {}", self.urls[number]));
         (ran.code() == Some(0)).then(|| {
@@ -78,7 +78,7 @@ impl Farm {
         ran.json().as_array().map_or(0, Vec::len)
     }
 
-    /// Waits until `leader` leads, answers, has its workers back and gets on with the job; prints when that was.
+    /// Waits until `leader` leads, answers, has its workers back and makes progress with the job. Prints the times.
     fn taken_over(&self, leader: usize, process: &mut Running, terms: usize, workers: usize, job: &str) {
         let begun = Instant::now();
         let passed = || begun.elapsed().as_secs_f64();
@@ -99,7 +99,7 @@ impl Farm {
         assert!(before < 0.9, "it was not over yet");
     }
 
-    /// The frames are those of one process, to the bit.
+    /// Checks that the frames equal those of one process, bit by bit.
     fn same_as_one_process(&self, job: &str) {
         self.place.run(&format!("fetch {job} -o out --server {}", self.both())).exits(0);
         self.place.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);
@@ -110,7 +110,8 @@ impl Farm {
         }
     }
 
-    /// By the log, with every coordinator gone: each task of the one job had its effect once, and none is missing.
+    /// Checks in the log, after all coordinators have ended, that each task of the only job took effect once, and that none is
+    /// missing.
     fn each_task_once(&self) {
         let records = self.runtime.block_on(async {
             let database = self.scratch.url().parse().expect("an address");

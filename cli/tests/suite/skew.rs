@@ -1,5 +1,5 @@
-//! Workers of other versions than their coordinator's. `FEMC_OLD` names an earlier program whose workers are taken, too: see
-//! `tests/skew`.
+//! Tests of workers with other versions than their coordinator's. `FEMC_OLD` names an earlier program whose workers must also be
+//! accepted: see `tests/skew`.
 
 use crate::common::{Place, Running, coordinator, names, pixels, share, submit, workers};
 use femc_proto::{OLDEST, PROTOCOL};
@@ -7,13 +7,13 @@ use std::process::Command;
 
 const JOB: &str = "--spp 64 --frames 1..3";
 
-/// A worker that says that it is of another version.
+/// Starts a worker that pretends to be of another version.
 fn worker(place: &Place, url: &str, name: &str, pretends: &str) -> Running {
     let line = format!("worker --join {url} --threads 1 --name {name} --outbox memory");
     Running::of(place.command(&line).env("FEMC_PRETEND", pretends))
 }
 
-/// The job's frames are those of one process.
+/// Checks that the job's frames equal those of one process.
 fn claim_frames(place: &Place, url: &str, job: &str) {
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
@@ -23,7 +23,7 @@ fn claim_frames(place: &Place, url: &str, job: &str) {
     }
 }
 
-/// Of each frame, the workers whose results count.
+/// Returns for each frame the workers whose results count.
 fn makers(place: &Place, url: &str, job: &str) -> Vec<(u64, String)> {
     let attempts = place.run(&format!("stats {job} --by attempt --json --server {url}")).exits(0).json();
     let done = attempts.as_array().expect("a list").iter().filter(|attempt| attempt["ending"] == "done");

@@ -1,11 +1,11 @@
-//! What a job took, as `femc stats` and `femc report` tell it, of real workers.
+//! Tests of a job's usage, as `femc stats` and `femc report` show it, with real workers.
 
 use crate::common::http::{free_port, metrics};
 use crate::common::{Place, coordinator, submit};
 use std::collections::BTreeSet;
 use std::process::Command;
 
-/// Processor seconds of a process so far, as the system says.
+/// Returns the processor seconds of a process so far, as reported by the system.
 fn processor(id: u32) -> f64 {
     let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).expect("a process");
     let fields = stat.rsplit_once(')').expect("a name").1.split_whitespace();
@@ -16,7 +16,8 @@ fn sum(rows: &serde_json::Value, column: &str) -> f64 {
     rows.as_array().expect("rows").iter().map(|row| row[column].as_f64().expect("a number")).sum()
 }
 
-/// Processor seconds of a worker's threads that render, so far, as the system says: those whose names are the worker's and a number.
+/// Returns the processor seconds of a worker's render threads so far, as reported by the system. Their names are the worker's name
+/// and a number.
 fn rendering(id: u32, name: &str) -> f64 {
     let tasks = std::fs::read_dir(format!("/proc/{id}/task")).expect("threads");
     let mut seconds = 0.0;
@@ -32,7 +33,7 @@ fn rendering(id: u32, name: &str) -> f64 {
     seconds
 }
 
-/// Rounding of a process's processor time in seconds: the system counts user time and system time in ticks of 10 ms each.
+/// Rounding error of a process's processor time in seconds: the system counts user time and system time in ticks of 10 ms each.
 const TICKS: f64 = 0.02;
 
 #[test]
@@ -47,7 +48,7 @@ fn the_processor_seconds_of_all_attempts_are_those_that_the_system_says_the_work
     let workers = [start("lab1"), start("lab2")];
     let job = submit(&place, &url, "--spp 384 --frames 1..4");
     place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
-    // Once a worker holds no task, the coordinator has acknowledged all of its results.
+    // When a worker holds no task, the coordinator has acknowledged all of its results.
     let counted = |name: &str| workers.iter().map(|(_, port, _)| metrics(*port).sum(name, &[])).sum::<f64>();
     farm.wait_until("the workers hold nothing", || counted("femc_worker_tasks_held") == 0.0);
     let rendering = workers.iter().map(|(name, _, worker)| rendering(worker.id(), name)).sum::<f64>();
@@ -58,16 +59,16 @@ fn the_processor_seconds_of_all_attempts_are_those_that_the_system_says_the_work
     println!(
         "{recorded} s of attempts, {rendering} s of threads that render, {in_tasks} s of tasks, {idle} s idle, {used} s"
     );
-    // No bound depends on how busy the machine is: all are sums of processor time. Threads that have rendered look for more for some
-    // microseconds, which may be counted after the report.
+    // No bound depends on the load of the machine, because all values are sums of processor time. After rendering, threads search
+    // for more work for some microseconds, which may be counted after the report.
     assert!(recorded >= 0.98 * rendering - 2.0 * TICKS, "{recorded} s of {rendering} s that rendering took");
     assert!(recorded <= in_tasks * (1.0 + 1e-9), "{recorded} s of {in_tasks} s that workers counted");
-    // After the report of a task, its acknowledgment takes some time that is neither.
+    // Waiting for the acknowledgment after a task's report takes some time that belongs to neither value.
     let counted = in_tasks + idle;
     let is_all = counted >= 0.98 * used - 2.0 * TICKS && counted <= used + 2.0 * TICKS;
     assert!(is_all, "{in_tasks} s of tasks and {idle} s idle of {used} s");
-    // What a copy of a late task took comes with its worker's next heartbeat: the tables are of one moment where nothing has come
-    // between the first and the last.
+    // The usage of a second lease of a late task arrives with its worker's next heartbeat. The tables are consistent if nothing has
+    // arrived between the first and the last one.
     let (mut attempts, mut tables) = (serde_json::Value::Null, Vec::new());
     farm.wait_until("tables of one moment", || {
         attempts = stats("--by attempt --json").json();
@@ -128,7 +129,7 @@ fn what_was_told_outlives_the_coordinator_and_failures_are_attempts_too() {
     assert_eq!(stats(&url), before);
 }
 
-/// Attempts that ended so.
+/// Returns the number of attempts with this ending.
 fn sum_of(rows: &serde_json::Value, ending: &str) -> usize {
     rows.as_array().expect("rows").iter().filter(|row| row["ending"] == ending).count()
 }

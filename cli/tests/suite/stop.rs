@@ -1,4 +1,4 @@
-//! Services that are told to stop.
+//! Tests of services that are asked to stop.
 
 use crate::common;
 use crate::common::{Place, coordinator, names, share, status, submit, workers};

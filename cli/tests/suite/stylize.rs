@@ -1,4 +1,4 @@
-//! `femc stylize`.
+//! Tests of `femc stylize`.
 
 use crate::common::{Place, names};
 use femc_film::{FrameImage, Image, LayerImage, Picture, Provenance, exr};
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 const SIZE: [u32; 2] = [24, 18];
 
-/// A frame with these colors.
+/// Returns a frame with these colors.
 fn frame([width, height]: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) -> FrameImage {
     let pixels: Vec<[f32; 3]> =
         (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| color(x, y)).collect();
@@ -21,17 +21,17 @@ fn frame([width, height]: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) -> Fra
     }
 }
 
-/// Its file.
+/// Writes a frame with these colors to a file.
 fn write(place: &Place, name: &str, size: [u32; 2], color: impl Fn(u32, u32) -> [f32; 3]) {
     exr::write(&place.path(name), &frame(size, color), &Provenance::default()).expect("an image");
 }
 
-/// Light that falls off from a pixel.
+/// Returns light that falls off with the distance from a pixel.
 fn glow([u, v]: [u32; 2]) -> impl Fn(u32, u32) -> [f32; 3] {
     move |x, y| [40.0 / (1.0 + x.abs_diff(u) as f32 + 0.7 * y.abs_diff(v) as f32); 3]
 }
 
-/// The file of a frame's layers, each of the same light times a factor.
+/// Writes the file of a frame's layers. Each layer is the same light times a factor.
 fn write_layers(
     place: &Place,
     name: &str,
@@ -48,7 +48,7 @@ fn write_layers(
     std::fs::write(place.path(name), bytes).expect("written");
 }
 
-/// Source, target, both with layers, too, and a painting.
+/// Creates a folder with source and target, both also with layers, and a painting.
 fn place() -> Place {
     let place = Place::new();
     write(&place, "a.exr", SIZE, glow([8, 8]));
@@ -101,10 +101,10 @@ fn several_targets_go_to_a_folder_under_one_exposure() {
     assert!(ran.stderr().contains("no layer `motion`"), "{}", ran.stderr());
     assert_eq!(names(&place.path("clip")), ["c-1.png", "c-2.png"]);
     assert_eq!(ran.json()["frames"][1]["flicker"], serde_json::Value::Null, "the files have no layer `motion`");
-    // Alone, the second one is shown brighter than it is beside the first one.
+    // By itself, the second frame is shown brighter than together with the first one.
     place.run(&format!("{line} --target c-2.exr -o alone.png")).exits(0);
     assert!(picture(&place, "clip/c-2.png") != picture(&place, "alone.png"), "both are as bright");
-    // At a fixed exposure company does not matter.
+    // With a fixed exposure, other frames have no influence.
     place.run(&format!("{line} --target c-1.exr c-2.exr -o clip/ --exposure 5")).exits(0);
     place.run(&format!("{line} --target c-2.exr -o alone.png --exposure 5")).exits(0);
     assert!(picture(&place, "clip/c-2.png") == picture(&place, "alone.png"), "they differ");
@@ -128,7 +128,7 @@ fn frames_of_a_clip_hold_on_to_what_was_painted_where_motion_says_it_went() {
     let place = place();
     let size = [40u32, 30];
     let pixels = (size[0] * size[1]) as usize;
-    // Light that goes 3 pixels to the right a frame.
+    // Light that moves right by 3 pixels per frame.
     for frame in 0..3u32 {
         let light: Vec<f32> = (0..size[1])
             .flat_map(|y| (0..size[0]).map(move |x| (x, y)))
@@ -165,7 +165,7 @@ fn a_clip_that_was_cut_off_goes_on_to_the_same_bytes() {
     running.wait_until("two frames are painted", || place.path("cut/k-1.png").exists());
     running.kill();
     assert!(place.path("cut.part").exists(), "what is done is kept");
-    // Another style is another run.
+    // A checkpoint of another style is not used.
     std::fs::copy(place.path("cut.part"), place.path("other.part")).expect("a copy");
     place.run("stylize --style cel --target k-*.exr -o other/").exits(0);
     let ran = place.run(&format!("{line} k-*.exr -o cut/")).exits(0);
@@ -187,7 +187,7 @@ fn frames_are_painted_when_they_are_rendered() {
     assert_eq!(painted.len(), 2, "{report}");
     let files: Vec<&str> = painted.iter().map(|file| file.as_str().expect("a name")).collect();
     assert!(files.iter().all(|file| file.ends_with(".painted.png") && picture(&place, file).width == 24), "{files:?}");
-    // The same by hand: they hold on to each other, under one exposure.
+    // The same result with `femc stylize`: each frame follows the previous one, with one exposure.
     let targets: Vec<String> = files.iter().map(|file| file.replace(".painted.png", ".layers.exr")).collect();
     place.run(&format!("stylize --style hatching --target {} -o again/", targets.join(" "))).exits(0);
     for (file, name) in files.iter().zip(names(&place.path("again"))) {

@@ -1,10 +1,10 @@
-//! `femc sweep` from end to end.
+//! End-to-end tests of `femc sweep`.
 
 use crate::common;
 use crate::common::{Place, coordinator, names, pixels};
 use serde_json::Value;
 
-/// Two lamps, two fogs, two frames: eight to render.
+/// A job with two lamps, two fogs and two frames: eight frames to render.
 const JOB: &str = "scene = \"fog.mgf\"\nframes = \"1..2\"\nspp = 2\nsize = \"16x16\"\nthreads = 1\n\
     [sweep]\n\"medium.fog.sigma_s\" = [0.05, 0.2]\n\"material.lamp.ed\" = [100, 300]\n";
 
@@ -140,7 +140,7 @@ fn what_a_sweep_took_is_kept_in_its_folder_and_asks_no_farm() {
 
 #[test]
 fn frames_that_are_the_same_are_rendered_once_and_linked() {
-    // From frame 6 on (0.5 s) the fog is that of the second key's neighbors; another camera changes nothing of `main`.
+    // The change of another camera does not affect the frames of `main`.
     let place = place(
         "scene = \"fog.mgf\"\nframes = \"1..2\"\nspp = 2\nsize = \"16x16\"\n[sweep]\n\"camera.other.fov\" = [30, 50]\n\
          camera = [\"main\", \"other\"]\n",
@@ -160,7 +160,7 @@ fn frames_that_are_the_same_are_rendered_once_and_linked() {
         let inode = |path: &std::path::Path| path.metadata().expect("a file").ino();
         assert_eq!(inode(&first), inode(&second), "one file under two names");
     }
-    // A frame that is replaced leaves its twin as it is.
+    // Replacing a frame does not change its linked twin.
     let before = pixels(&second);
     let job = place.read("j.toml").replace("[30, 50]", "[30]").replace("spp = 2", "spp = 3");
     place.write("j.toml", &job);
@@ -231,7 +231,7 @@ fn queued_and_not_waited_for_it_prints_the_jobs_and_is_collected_later() {
     assert_eq!(report["jobs"][0]["job"], 5, "{report}");
     place.run(&format!("watch 4 --server {url}")).exits(0);
     place.run(&format!("fetch 4 -o fetched --server {url}")).exits(0);
-    // `femc fetch` names files by the job, and the job's name has the variant; a sweep has a folder for each variant.
+    // `femc fetch` uses the job's name, which contains the variant, for file names; a sweep has a folder for each variant.
     let (fetched, own) = ("fetched/fog-sigma_s=0.2,ed=300.0002.exr", "out/sigma_s=0.2,ed=300/fog.0002.exr");
     assert_eq!(pixels(&place.path(fetched)), pixels(&place.path(own)));
 }

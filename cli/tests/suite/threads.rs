@@ -1,4 +1,4 @@
-//! `--threads N` is the number of threads that compute, in every command and every task.
+//! Tests that `--threads N` is the number of compute threads, in every command and every task.
 #![cfg(target_os = "linux")]
 
 use crate::common::http::{free_port, metrics};
@@ -6,12 +6,12 @@ use crate::common::{Place, Ran, Running, coordinator};
 use std::fmt::Write as _;
 use std::process::Command;
 
-/// Threads that rayon's global pool would have, if anything used it. They do not fit into [`MEMORY`], so that such a use panics.
+/// Number of threads of rayon's global pool, if anything used it. They do not fit into [`MEMORY`], so that such a use panics.
 const GLOBAL: usize = 1000;
-/// Address space of a process, in KiB: a thread's stack takes 2 MiB of it.
+/// Address space of a process in KiB; a thread's stack takes 2 MiB of it.
 const MEMORY: usize = 1_500_000;
 
-/// `femc` in a process where rayon's global pool cannot be started.
+/// Returns `femc` in a process in which rayon's global pool cannot be started.
 fn confined(place: &Place, line: &str) -> Command {
     let mut command = Command::new("sh");
     let femc = place.command(line);
@@ -23,7 +23,7 @@ fn confined(place: &Place, line: &str) -> Command {
             None => command.env_remove(name),
         };
     }
-    // Each arena of the allocator takes address space, too.
+    // Each arena of the allocator also uses address space.
     command.env("RAYON_NUM_THREADS", GLOBAL.to_string()).env("MALLOC_ARENA_MAX", "2");
     command
 }
@@ -32,8 +32,8 @@ fn run(place: &Place, line: &str) -> Ran {
     Running::of(&mut confined(place, line)).end().exits(0)
 }
 
-/// Scenes whose trees and images are large enough for many threads: a fine mesh in `fine.mgf`, and `wide.mgf`, whose camera sees
-/// nothing, so that its many pixels take little time.
+/// Writes scenes whose trees and images are large enough for many threads: a fine mesh in `fine.mgf`, and `wide.mgf`, whose camera
+/// sees nothing, so that its many pixels take little time.
 fn scenes(place: &Place) {
     let (fog, mut mesh) = (place.read("fog.mgf"), String::from("m wall\n"));
     let side = 60;
@@ -68,8 +68,8 @@ fn a_render_starts_no_threads_beside_its_own() {
     run(&place, "plan fine.mgf --frames 1 --spp 1 --threads 1 --json");
 }
 
-/// Stack of a thread, in bytes. It is large, so that the thread which does not fit leaves room for what the threads before it
-/// still allocate.
+/// Stack size of a thread in bytes. It is large, so that when a thread does not fit, the earlier threads still have room for their
+/// allocations.
 const STACK: usize = 128 << 20;
 
 #[test]

@@ -1,8 +1,8 @@
-//! A farm that lets in only those who belong to it.
+//! Tests of a farm that only accepts its members.
 
 use crate::common::{Place, Running, names, pixels};
 
-/// An authority, an identity for each of these, and a coordinator behind the first.
+/// Creates an authority, an identity for each holder, and a coordinator with the first identity.
 fn farm(place: &Place, holders: &[&str]) -> (Running, String) {
     place.run("ca init --name nights").exits(0);
     for holder in ["coordinator farm"].iter().chain(holders) {
@@ -99,7 +99,7 @@ fn browsers_get_the_certificate_of_the_authority_alone_and_its_fingerprint() {
     let fingerprint = exported.stderr().split_whitespace().last().expect("a fingerprint").to_owned();
     assert_eq!(fingerprint.split(':').count(), 32, "{fingerprint}");
     place.run("ca export -o farm.crt").exits(1);
-    // The coordinator says the same of its authority.
+    // The coordinator prints the same fingerprint of its authority.
     let told = farm.kill_for_stderr();
     assert!(told.contains("browsers warn") && told.contains(&fingerprint), "{told}");
 }
@@ -155,11 +155,11 @@ fn whoever_watches_with_a_token_that_is_revoked_sees_no_more() {
     assert!(watcher.is_running(), "no worker is there, so it waits");
     place.run("ca revoke eve").exits(0);
     watcher.end().exits(1);
-    // The stream ends, and asking again is of no use.
+    // The stream ends with an error that a retry cannot fix.
     assert!(place.read("watch.err").contains("does not know the token"), "{}", place.read("watch.err"));
 }
 
-/// A coordinator that takes tokens on this machine.
+/// Starts a coordinator that accepts tokens on this machine.
 fn open(place: &Place) -> (Running, String) {
     let mut farm = place.start(
         "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts --token-file femc-ca/tokens",
@@ -206,7 +206,7 @@ fn the_record_says_who_did_what_and_what_was_refused_and_no_secret() {
     as_user("ann", "drain node").exits(1);
     as_user("op", "gc").exits(1);
     as_user("op", &format!("pause {job}")).exits(2);
-    // What is acknowledged is there, whatever comes.
+    // Acknowledged changes are in the audit log even after a kill.
     farm.signal("KILL");
     let record = place.read("audit.jsonl");
     let lines: Vec<serde_json::Value> = record.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
@@ -231,7 +231,8 @@ fn the_record_says_who_did_what_and_what_was_refused_and_no_secret() {
     assert!(lines.iter().all(|line| line["call"] != "Jobs/Watch"), "who looks changes nothing");
 }
 
-/// Pages that are loaded without a login are no refused calls; what is asked for without one is, and so is who asks for nothing.
+/// Checks the audit log. Pages that are loaded without a login are not recorded as refused. Calls without a login and connections
+/// without a request are.
 #[test]
 fn a_page_that_is_loaded_from_an_encrypted_coordinator_is_not_in_the_record_as_refused() {
     let place = Place::new();
@@ -253,7 +254,7 @@ fn a_page_that_is_loaded_from_an_encrypted_coordinator_is_not_in_the_record_as_r
     assert_eq!([get("/"), get("/icon.svg")], ["200", "200"]);
     assert_eq!(get("/api/v1/jobs"), "401");
     farm.wait_until("the refusal is in the record", || record().contains("\"Jobs/List\""));
-    // It comes after the ends of the connections before.
+    // This record comes after the ends of the earlier connections.
     drop(std::net::TcpStream::connect(&address).expect("a connection"));
     farm.wait_until("who said nothing is in the record", || record().contains("\"connect\""));
     let record = record();

@@ -1,4 +1,4 @@
-//! Exit codes and messages of what is typed wrongly.
+//! Tests of exit codes and messages for wrong usage.
 
 use crate::common;
 use crate::common::Place;
@@ -58,7 +58,7 @@ fn a_broken_scene_fails_with_its_file_and_line() {
         let ran = place.run(&format!("{command} broken.mgf")).exits(1);
         assert!(ran.stderr().contains("broken.mgf:2"), "{command}: {}", ran.stderr());
     }
-    // The list of errors is what `check` is asked for, whatever part of femc finds them.
+    // The list of errors is the result of `check`, regardless of which part of femc finds them.
     let ran = place.run("check broken.mgf").exits(1);
     assert!(ran.stdout().contains("broken.mgf:2:5: error: ") && ran.stderr().is_empty(), "{}", ran.stdout());
     place.write("lost.mgf", &common::FOG.replace("vary medium.fog", "vary medium.frog"));
@@ -83,7 +83,7 @@ fn a_scene_without_a_camera_gets_one_and_a_note_and_one_without_anything_cannot_
 #[test]
 fn an_absent_server_ends_with_4_and_its_address() {
     let place = Place::new();
-    // Port 1 is reserved, and nobody listens there.
+    // Port 1 is reserved, and no server listens there.
     for command in ["jobs", "status 1", "watch 1", "fetch 1 -o out", "submit fog.mgf --spp 1"] {
         let ran = place.run(&format!("{command} --server http://127.0.0.1:1")).exits(4);
         assert!(ran.stderr().contains("http://127.0.0.1:1"), "{command}: {}", ran.stderr());

@@ -1,17 +1,17 @@
-//! `femc watch` shows the frame in work.
+//! Tests of the preview of `femc watch`.
 #![cfg(unix)]
 
 use crate::common;
 use crate::common::{Place, Running};
 use femc_film::{ToneCurve, exr};
 
-/// The picture of an EXR file, as previews are.
+/// Returns the picture of an EXR file, made like a preview.
 fn picture(place: &Place, name: &str) -> Vec<u8> {
     let image = exr::read(&place.path(name)).expect("an EXR file").image;
     ToneCurve::auto([&image]).picture(&image).to_png().expect("a PNG")
 }
 
-/// A farm, and a worker that stands still in the middle of a frame whose tiles are reduced in twos.
+/// Starts a farm, and a worker that stops in the middle of a frame whose tiles are reduced in pairs.
 fn half_done(place: &Place) -> (Running, Running, String, String) {
     let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts --lease 1m";
     let mut farm = place.start(line);

@@ -1,4 +1,4 @@
-//! The farm over HTTP: what a page sees of a job, from its submission to its picture.
+//! Tests of the farm over HTTP: the life of a job on a web page, from its submission to its picture.
 #![cfg(unix)]
 
 use std::io::{BufRead as _, BufReader, Write as _};
@@ -16,7 +16,7 @@ fn address(url: &str) -> String {
     url.trim_start_matches("http://").to_owned()
 }
 
-/// A page that listens.
+/// A web page that listens for events.
 struct Listener(BufReader<TcpStream>);
 
 impl Listener {
@@ -28,7 +28,7 @@ impl Listener {
         Self(BufReader::new(stream))
     }
 
-    /// The kind, the id and the data of the next event; `None`: the connection ended.
+    /// Returns the kind, the id and the data of the next event; `None`: the connection ended.
     fn next(&mut self) -> Option<(String, String, serde_json::Value)> {
         let (mut id, mut kind) = (String::new(), String::new());
         loop {
@@ -55,7 +55,7 @@ fn a_page_sees_a_job_from_its_submission_to_its_picture_and_steers_it() {
     let me = get(&address, "me").json();
     assert!(me["role"].is_null() && me["secured"] == false && me["engine"].as_str().is_some_and(|it| !it.is_empty()));
     let job = submit(&place, &url, "--frames 1..2 --spp 4");
-    // As the command line has it.
+    // The list equals that of the command line.
     let listed = get(&address, "jobs").json();
     assert_eq!(listed["jobs"], place.run(&format!("jobs --json --server {url}")).exits(0).json());
     let submitted = listed["jobs"][0]["submitted"].as_f64().expect("a date");
@@ -160,7 +160,7 @@ fn a_page_goes_on_when_the_coordinator_was_restarted() {
     submit(&place, &url, "--frames 1 --spp 1");
     let (kind, second, data) = page.next().expect("an event");
     assert_eq!((kind.as_str(), &data["jobs"][0]["job"]), ("delta", &1.into()));
-    // Away and back: what was missed, as one delta; and nothing for who knows it.
+    // After a reconnect, the page gets the missed events as one delta, and nothing if it is up to date.
     let (kind, now, data) = Listener::connect(&address, Some(&id)).next().expect("an event");
     assert_eq!((kind.as_str(), &now, &data["jobs"][0]["job"]), ("delta", &second, &1.into()));
     first.kill();
@@ -317,7 +317,7 @@ fn names_in(place: &Place, folder: &str) -> Vec<String> {
     crate::common::names(&place.path(folder))
 }
 
-/// A half float that is finite and no subnormal number, or 0.
+/// Parses a half float that is finite and not subnormal, or 0.
 fn half_float(bytes: [u8; 2]) -> f32 {
     let bits = u16::from_le_bytes(bytes);
     let (sign, exponent, mantissa) = (bits >> 15, i32::from(bits >> 10 & 31), f32::from(bits & 1023));

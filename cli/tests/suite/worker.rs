@@ -1,13 +1,13 @@
-//! A worker's own life, as a process: what it keeps, what it heeds, when it ends.
+//! Tests of a worker process: its outbox, its settings, its end.
 
 use crate::common;
 use crate::common::proxy::Proxy;
 use crate::common::{Place, coordinator, share, status, submit, workers};
 
-/// One tile, some seconds long: it is done in parts.
+/// Settings of a job with one tile that takes some seconds and is done in parts.
 const TILE: &str = "--spp 2500 --size 16x16 --frames 1";
 
-/// The results in an outbox.
+/// Returns the results in an outbox.
 fn kept(place: &Place, folder: &str) -> Vec<String> {
     let names = common::names(&place.path(folder));
     names.into_iter().filter(|name| name.ends_with(".done")).collect()
@@ -23,7 +23,7 @@ fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_al
     let job = submit(&place, &url, &format!("{TILE} --tags lab"));
     farm.wait_until("some samples", || share(&place, &url, &job) > 0.05);
     proxy.freeze();
-    // One may have been on its way.
+    // One part may have been on its way to the coordinator.
     first.wait_until("two finished parts", || kept(&place, "box").len() >= 2);
     let completed = |name: &str| {
         let all = workers(&place, &url);
@@ -33,7 +33,7 @@ fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_al
     assert!(first.kill(), "it was alive");
     assert!(kept(&place, "box").len() >= 2, "they outlive the kill");
 
-    // Without the tag it gets no task of this job: what it brings is what it had.
+    // This worker lacks the tag, so it gets no task of this job: it uploads only the results in the outbox.
     let mut second = place.start(&format!("worker --join {url} --threads 1 --outbox box --name second"));
     farm.wait_until("a result", || completed("second") >= 1);
     second.wait_until("an empty outbox", || kept(&place, "box").is_empty());
@@ -76,7 +76,7 @@ fn a_drained_worker_gives_back_within_two_seconds_what_it_has_not_begun() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 1 --name lab"));
-    // Tiles of some seconds each.
+    // Each tile takes some seconds.
     let job = submit(&place, &url, "--spp 4000 --size 32x32 --frames 1..6");
     let held = || workers(&place, &url)[0]["tasks"].as_array().map_or(0, Vec::len);
     let tasks = |state: &str| {
@@ -90,7 +90,7 @@ fn a_drained_worker_gives_back_within_two_seconds_what_it_has_not_begun() {
     println!("{:.1} s until it held {} task", begun.elapsed().as_secs_f64(), held());
     let status = status(&place, &url, &job);
     assert_eq!(status["state"], "running", "{status}");
-    // What was given back is no failure, and another does it.
+    // A task that was given back is not a failure, and another worker does it.
     let _other = place.start(&format!("worker --join {url} --threads 1 --name other"));
     farm.wait_until("a task at the other worker", || {
         let all = workers(&place, &url);
@@ -104,7 +104,7 @@ fn a_drained_worker_gives_back_within_two_seconds_what_it_has_not_begun() {
     place.run(&format!("cancel {job} --server {url}")).exits(0);
 }
 
-/// `HH:MM` so many hours from now, in UTC.
+/// Returns `HH:MM`, this many hours from now, in UTC.
 fn hours_from_now(hours: u64) -> String {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_secs();
     let minutes = (now / 60 + hours * 60) % (24 * 60);
@@ -177,7 +177,7 @@ fn the_threads_that_compute_are_nice_and_those_that_talk_are_not() {
     for thread in threads {
         let Ok(stat) = std::fs::read_to_string(thread.expect("a thread").path().join("stat")) else { continue };
         let (name, rest) = stat.split_once(") ").expect("a name");
-        // The 19th field of proc(5)'s stat, and the 17th after the name.
+        // The niceness is the 19th field of proc(5)'s stat, and the 17th after the name.
         let nice = rest.split_whitespace().nth(16).and_then(|field| field.parse().ok()).expect("a niceness");
         niceness.push((name.split_once('(').expect("a name").1.to_owned(), nice));
     }

@@ -1,4 +1,5 @@
-//! Frames rendered and timed in this process: no farm, no files, nothing but the samples and what decides on them.
+//! Renders and times frames in this process. There is no farm and there are no files: only the samples and the stopping rules are
+//! timed.
 
 use crate::clock::Clock;
 use crate::exit::{Failure, failed, interrupted, usage};
@@ -16,34 +17,35 @@ use std::time::Duration;
 
 /// A scene that is rendered many times.
 pub struct Bed {
-    /// Which, and how.
+    /// Scene and settings, as the record names them.
     pub setup: SceneSetup,
     asked: Asked,
     reference: Reference,
 }
 
-/// The same, compiled.
+/// A [`Bed`] with its scene compiled.
 pub struct Ready<'a> {
     bed: &'a Bed,
     prepared: Prepared,
-    /// The same with the light of a method's first pass, by method.
+    /// The scene with the light of a first pass, for each method that has one.
     lit: Vec<(femc_pipeline::Method, Lit)>,
     pool: &'a ThreadPool,
     cancel: &'a AtomicBool,
 }
 
-/// A frame with the light of its first pass, and what that took.
+/// A frame with the light of its first pass, and the time that the pass took.
 struct Lit {
     prepared: Prepared,
     seconds: Duration,
     cpu: Duration,
 }
 
-/// Edge of the tile that is rendered before the first clock starts, pixels.
+/// Edge of the tile that is rendered before the first timing, in pixels.
 const WARM_UP: u32 = 64;
 
 impl Bed {
-    /// - errors: the reference is of another size than the film; several frames.
+    /// Creates a bed.
+    /// - errors: the reference has another size than the film.
     pub fn new(asked: Asked, reference: Reference, named: &str) -> Result<Self, Failure> {
         let film = asked.film();
         let size = [reference.image.width, reference.image.height];
@@ -69,12 +71,12 @@ impl Bed {
         Ok(Self { setup, asked, reference })
     }
 
-    /// The reference.
+    /// Returns the reference.
     pub fn reference(&self) -> &Reference {
         &self.reference
     }
 
-    /// Compile the scene, and warm up.
+    /// Compiles the scene and renders a small tile to warm up.
     pub fn ready<'a>(&'a self, pool: &'a ThreadPool, cancel: &'a AtomicBool) -> Result<Ready<'a>, Failure> {
         let Asked { source, settings, .. } = &self.asked;
         let prepared = pool.install(|| femc_pipeline::prepare_world(source, settings, self.setup.frame, None));
@@ -91,7 +93,8 @@ impl Bed {
 }
 
 impl Ready<'_> {
-    /// The place of a method's first pass in `lit`. The pass is solved once, as for `femc render`; all frames share its light and its seconds.
+    /// Returns the index in `lit` of a method's first pass. The pass is solved once, as in `femc render`; all frames share its
+    /// light and its seconds.
     fn light(&mut self, method: femc_pipeline::Method) -> Result<usize, Failure> {
         if let Some(at) = self.lit.iter().position(|(of, _)| *of == method) {
             return Ok(at);
@@ -114,7 +117,7 @@ impl Ready<'_> {
         Ok(self.lit.len() - 1)
     }
 
-    /// Render one frame and compare it with the reference. A method with a first pass has the seconds of the first pass among its own.
+    /// Renders one frame and compares it with the reference. The time of a method with a first pass includes the first pass.
     pub fn run(&mut self, method: &Method, budget: f64, seed: u64) -> Result<Run, Failure> {
         let Bed { setup, asked, reference } = self.bed;
         let settings = Settings { stop: method.stop(budget), method: method.light, seed, ..asked.settings.clone() };
@@ -155,10 +158,10 @@ impl Ready<'_> {
     }
 }
 
-/// The settings that are the same in all runs.
+/// Returns the settings that are the same in all runs.
 fn constant(settings: &Settings) -> Result<serde_json::Value, Failure> {
     let text = serde_json::to_string(settings).map_err(failed)?;
-    // From text, as it will be read from a file, to the bit.
+    // Parse the text, so that the numbers are bit by bit those that are later read from a file.
     let mut value: serde_json::Value = serde_json::from_str(&text).map_err(failed)?;
     if let Some(fields) = value.as_object_mut() {
         ["stop", "seed", "method"].iter().for_each(|field| drop(fields.remove(*field)));

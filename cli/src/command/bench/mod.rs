@@ -44,22 +44,22 @@ pub struct BenchArgs {
     /// References, one for each scene: a file, or two independent halves of one size, A.exr,B.exr
     #[arg(long, value_name = "REF.exr", required = true, num_args = 1..)]
     reference: Vec<Named>,
-    /// Methods, with commas between
+    /// Methods, separated by commas
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', default_value = "pt,adaptive", value_parser = Method::named)]
     methods: Vec<&'static Method>,
-    /// Budgets of methods that draw a number of samples a pixel
+    /// Budgets of methods that draw a number of samples per pixel
     #[arg(long, value_name = "N,..", value_delimiter = ',', default_value = "1,4,16,64", value_parser = spp)]
     spp: Vec<f64>,
-    /// Budgets of methods that end at a relative error of every block
+    /// Budgets of methods that stop at a relative error of every block
     #[arg(long, value_name = "E,..", value_delimiter = ',', default_value = "0.5,0.2", value_parser = relative_error)]
     error: Vec<f64>,
-    /// Seeds, each of which is a frame for every method and budget
+    /// Number of seeds; each seed is one frame for every method and budget
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=10000))]
     seeds: u64,
-    /// The first seed
+    /// First seed
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// File that keeps the measurements; if it is there, what is in it is not measured again
+    /// File that keeps the measurements; those that are in it already are not repeated
     #[arg(long, short, value_name = "BENCH.json")]
     out: Option<PathBuf>,
     /// Write a page with plots and tables
@@ -71,7 +71,7 @@ pub struct BenchArgs {
     settings: BenchSettings,
 }
 
-/// Render settings of all methods.
+/// Render settings that all methods share.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Render settings")]
 struct BenchSettings {
@@ -81,10 +81,10 @@ struct BenchSettings {
     /// Film size in pixels [default: the camera's]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Frame of the clip: one [default: its first]
+    /// Frame of the clip: a single one [default: its first]
     #[arg(long, value_name = "K")]
     frames: Option<Frames>,
-    /// Longest path in segments, the one from the camera counting 1; 0: unbounded [default: 0]
+    /// Longest path in segments, counting the one from the camera; 0: unbounded [default: 0]
     #[arg(long, value_name = "N")]
     max_depth: Option<u32>,
     /// Pixel filter; box: a pixel is the mean luminance over its area [default: box]
@@ -96,12 +96,12 @@ struct BenchSettings {
     /// Override a scalar of the scene, like medium.fog.sigma_s=0.03 (repeatable)
     #[arg(long, value_name = "SELECTOR=VALUE")]
     set: Vec<Override>,
-    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    /// Folder that contains the includes, textures and lamps of the scene, at any depth [default: the scene's folder]
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
 }
 
-/// What is printed and kept.
+/// Measurements and summary, as printed and kept.
 #[derive(Serialize)]
 struct Document<'a> {
     #[serde(flatten)]
@@ -109,7 +109,7 @@ struct Document<'a> {
     summary: &'a Summary,
 }
 
-/// Measure what is not measured yet, and tell.
+/// Runs `femc bench`: measures what is missing, and prints the summary.
 pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
     let BenchArgs { scenes, reference, out, .. } = args;
     if scenes.len() != reference.len() {
@@ -163,7 +163,7 @@ pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// What is to be measured, and with what.
+/// A measurement series and its resources.
 struct Bench<'a> {
     args: &'a BenchArgs,
     ladders: &'a [Ladder],
@@ -173,7 +173,7 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    /// Measure what `record` lacks, scene by scene.
+    /// Measures the runs that `record` lacks, scene by scene.
     fn measure(&mut self, record: &mut Record, beds: &[Bed]) -> Result<(), Failure> {
         let cancel = Arc::new(AtomicBool::new(false));
         let runtime = client::runtime()?;
@@ -215,7 +215,7 @@ impl Bench<'_> {
     }
 }
 
-/// Seed by seed, all methods side by side, so that a machine that slows down slows all of them.
+/// Returns all runs of a scene, seed by seed, with all methods side by side. A machine that slows down then slows all methods.
 fn order(ladders: &[Ladder], seeds: &[u64]) -> Vec<(&'static Method, f64, u64)> {
     let longest = ladders.iter().map(|(_, budgets)| budgets.len()).max().unwrap_or(0);
     let at = |seed: u64, place: usize| {
@@ -231,7 +231,7 @@ fn encoded<T: Serialize>(document: &T) -> Result<Vec<u8>, Failure> {
 }
 
 impl BenchArgs {
-    /// Each method once, each of its budgets once.
+    /// Returns each method once, with each of its budgets once.
     fn ladders(&self) -> Vec<Ladder> {
         let mut ladders: Vec<Ladder> = Vec::new();
         for &method in &self.methods {
@@ -268,7 +268,7 @@ impl BenchSettings {
     }
 }
 
-/// A whole number of samples.
+/// Parses a whole number of samples.
 fn spp(text: &str) -> Result<f64, String> {
     match text.parse::<u32>() {
         Ok(number @ 1..=16_777_216) => Ok(f64::from(number)),
@@ -276,7 +276,7 @@ fn spp(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A relative error that frames can end at.
+/// Parses a relative error at which frames can stop.
 fn relative_error(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number > 0.0 && number < 10.0 => Ok(number),

@@ -1,11 +1,11 @@
-//! The tables on stdout.
+//! Prints the tables on stdout.
 
 use crate::output::{Say, human};
 use femc_reports::bench::setup::Setup;
 use femc_reports::bench::summary::Summary;
 use femc_reports::bench::table::{self, Table};
 
-/// Print.
+/// Prints the tables of a summary.
 pub fn print(setup: &Setup, summary: &Summary, say: Say) {
     for (name, fact) in table::facts(setup, summary) {
         say.result(format!("{}: {fact}", name.to_lowercase()));

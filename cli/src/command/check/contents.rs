@@ -1,4 +1,4 @@
-//! What is in a scene: its bounds, its lamps and their luminous flux.
+//! Contents of a scene: its bounds, its lamps and their luminous flux.
 
 use crate::output::{Say, human};
 use crate::request::{flux, shown};
@@ -6,10 +6,10 @@ use femc_import::ScenePath;
 use femc_scene::{LampKind, Scene, survey};
 use serde::Serialize;
 
-/// Lines of lamps that are shown to people.
+/// Largest number of lamp lines in the table.
 const LAMPS: usize = 20;
 
-/// The scene in numbers.
+/// The contents of a scene in numbers.
 #[derive(Default, Serialize)]
 pub struct Contents {
     bounds: Option<Bounds>,
@@ -25,15 +25,15 @@ struct Bounds {
     max: [f64; 3],
 }
 
-/// Equal lamps.
+/// A group of equal lamps.
 #[derive(Serialize)]
 struct Lamps {
     kind: &'static str,
     name: String,
     count: u64,
-    /// Flux of each, lm.
+    /// Flux of each lamp, lm.
     lumens: f64,
-    /// Emitting area of each, m2.
+    /// Emitting area of each lamp, m2.
     #[serde(skip_serializing_if = "Option::is_none")]
     area: Option<f64>,
     file: String,
@@ -41,7 +41,7 @@ struct Lamps {
 }
 
 impl Contents {
-    /// Of a scene at the start of its clip.
+    /// Measures a scene at the start of its clip.
     pub fn of(scene: &Scene, root: &ScenePath) -> Self {
         let survey = survey(scene, &flux);
         let lamps = survey.lamps.into_iter().map(|lamp| {
@@ -66,7 +66,7 @@ impl Contents {
         Self { bounds, lumens: lamps.iter().map(|lamp| lamp.count as f64 * lamp.lumens).sum(), lamps }
     }
 
-    /// For people.
+    /// Prints the contents for people.
     pub fn print(&self, say: Say) {
         if let Some(Bounds { min, max }) = self.bounds {
             let size = [0, 1, 2].map(|i| meters(max[i] - min[i])).join(" x ");
@@ -93,7 +93,7 @@ impl Contents {
     }
 }
 
-/// A length without decimals that say nothing.
+/// Formats a length without meaningless decimals.
 fn meters(m: f64) -> String {
     let text = format!("{m:.3}");
     let text = text.trim_end_matches('0').trim_end_matches('.');

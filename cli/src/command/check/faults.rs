@@ -1,4 +1,4 @@
-//! Faults of the import and of the scene: one list, in order of place.
+//! Faults of the import and of the scene, merged into one list in the order of their locations.
 
 use crate::output::faults::{IMPORT, Line};
 use crate::request::{line_of, shown};
@@ -6,7 +6,7 @@ use femc_import::{ImportError, Loaded, Oddity, ScenePath, Warning};
 use femc_scene::check::{Fault, FaultKind, Severity, check};
 use femc_scene::{Location, Scene};
 
-/// An error of a scene that cannot be imported.
+/// Returns the line for an error of a scene that cannot be imported.
 pub fn unreadable(root: &ScenePath, ImportError { at, fault }: &ImportError) -> Line {
     Line {
         severity: Severity::Error,
@@ -19,7 +19,8 @@ pub fn unreadable(root: &ScenePath, ImportError { at, fault }: &ImportError) -> 
     }
 }
 
-/// Warnings and notes of the import and faults of the scene, in order of place; what two of them say is said once.
+/// Returns the warnings and notes of the import and the faults of the scene, in the order of their locations. A warning that
+/// repeats a fault is left out.
 pub fn lines(root: &ScenePath, loaded: &Loaded) -> Vec<Line> {
     let scene: &Scene = &loaded.scene;
     let faults = check(scene);
@@ -49,7 +50,7 @@ pub fn lines(root: &ScenePath, loaded: &Loaded) -> Vec<Line> {
     keyed.into_iter().map(|(_, line)| line).collect()
 }
 
-/// The fault of a scene that says the same as a warning of the import.
+/// Returns the fault of a scene that reports the same problem as a warning of the import.
 fn same_as(oddity: &Oddity) -> Option<FaultKind> {
     match oddity {
         Oddity::NoArea => Some(FaultKind::DegenerateSurface),
@@ -75,7 +76,7 @@ fn same_as(oddity: &Oddity) -> Option<FaultKind> {
     }
 }
 
-/// The name of a kind as in JSON.
+/// Returns the name of a kind as in JSON.
 fn kebab(kind: FaultKind) -> String {
     serde_json::to_value(kind).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
 }

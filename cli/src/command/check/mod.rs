@@ -1,4 +1,4 @@
-//! `femc check SCENE`: what is wrong with a scene, and what is in it.
+//! `femc check SCENE`: lists the faults of a scene and its contents.
 
 mod contents;
 mod faults;
@@ -16,7 +16,7 @@ use femc_scene::check::Severity;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// List the faults of a scene with file and line, its size and its lamps; exit code 1 if a fault is an error
+/// List the faults of a scene with file and line, its size and its lamps; the exit code is 1 if a fault is an error
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc check scenes/roundabout.mgf\n  \
@@ -28,10 +28,10 @@ pub struct CheckArgs {
     /// Scene file
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
-    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    /// Folder that contains the includes, textures and lamps of the scene, at any depth [default: the scene's folder]
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
-    /// A line for every fault, not for every kind
+    /// Print a line for every fault instead of every kind
     #[arg(long)]
     all: bool,
     #[command(flatten)]
@@ -65,7 +65,7 @@ impl Report {
     }
 }
 
-/// Load, check, list.
+/// Runs `femc check`.
 pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
     let root = locate(&args.scene, args.root.as_deref())?;
     let (report, imported) = match root.load_or_list() {
@@ -91,11 +91,11 @@ pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
 /// Part of a scene that was imported.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Imported {
-    /// All of it.
+    /// The whole scene.
     Whole,
-    /// None: it has errors, and all of its files were read for them.
+    /// Nothing: the scene has errors. All of its files were read, so the list of errors is complete.
     Not,
-    /// None, and the list of errors ends before the scene.
+    /// Nothing, and the list of errors is incomplete: reading stopped before the end of the scene.
     Partly,
 }
 

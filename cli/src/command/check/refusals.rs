@@ -1,4 +1,4 @@
-//! Reasons for which `femc render` and `femc submit` would refuse the scene, whatever their settings: the same plan is made here.
+//! Reasons why `femc render` and `femc submit` would refuse the scene with any settings. The check makes the same plan as they do.
 
 use crate::output::faults::Line;
 use crate::request::{shown, table_of};
@@ -7,7 +7,7 @@ use femc_pipeline::{PlanError, PrepareError, Settings, plan};
 use femc_scene::{Location, Scene, Severity};
 use std::collections::BTreeSet;
 
-/// An error for each camera that no frame can be planned for, for a scene without a camera, and for photometry that no lamp can have.
+/// Returns an error for each camera for which no frame can be planned, for a scene without a camera, and for unusable photometry.
 pub fn refusals(root: &ScenePath, scene: &Scene) -> Vec<Line> {
     let line = |location: Location, kind: &str, message: String, advice: &str| {
         let file = scene.files.get(location.file as usize).map_or("", String::as_str);
@@ -35,7 +35,7 @@ pub fn refusals(root: &ScenePath, scene: &Scene) -> Vec<Line> {
             Some(PlanError::Film(error)) => {
                 (error.to_string(), "give it a smaller `film`, or `--size` for each render")
             }
-            // The check of motion says so, with its place.
+            // The check of motion reports these, with their location.
             Some(PlanError::NoFrames { .. } | PlanError::Camera(PrepareError::Selector(_))) => continue,
             Some(error) => (error.to_string(), ""),
         };

@@ -1,4 +1,4 @@
-//! Two folders of frames: each frame of A against the frame of the same number of B.
+//! Compares two folders: each frame of A with the frame of the same number of B.
 
 use super::image::read;
 use crate::exit::{Exit, Failure, failed, usage};
@@ -12,7 +12,7 @@ struct Report {
     a: String,
     b: String,
     frames: Vec<FrameReport>,
-    /// Frames that only one of the folders has.
+    /// Number of frames that only one of the folders has.
     unpaired: usize,
     mean: Metrics,
 }
@@ -34,7 +34,7 @@ struct Metrics {
     mean_ratio: f64,
 }
 
-/// Compare them.
+/// Compares the frames.
 pub fn run(a: &Path, b: &Path, as_json: bool, say: Say) -> Result<Exit, Failure> {
     let (of_a, of_b) = (frames(a)?, frames(b)?);
     let mut report = Report {
@@ -67,7 +67,7 @@ pub fn run(a: &Path, b: &Path, as_json: bool, say: Say) -> Result<Exit, Failure>
     Ok(Exit::Done)
 }
 
-/// The numbered frames of a folder, `<stem>.0007.exr`.
+/// Returns the numbered frames of a folder, `<stem>.0007.exr`.
 fn frames(folder: &Path) -> Result<BTreeMap<u32, PathBuf>, Failure> {
     let at = |e: &dyn std::fmt::Display| failed(format!("{}: {e}", folder.display()));
     let mut frames = BTreeMap::new();

@@ -1,10 +1,10 @@
-//! The images that are compared.
+//! Images to compare.
 
 use crate::exit::{Failure, failed, usage};
 use femc_film::{FilmError, Image, exr};
 use std::path::Path;
 
-/// The image in a file.
+/// Reads the image in a file.
 pub fn read(path: &Path) -> Result<Image, Failure> {
     match exr::read(path) {
         Ok(file) => Ok(file.image),

@@ -1,4 +1,4 @@
-//! `femc compare A.exr B.exr`: how far an image is from a reference; of folders, frame by frame.
+//! `femc compare A.exr B.exr`: measures the error of an image against a reference; compares folders frame by frame.
 
 mod clips;
 mod image;
@@ -40,7 +40,7 @@ struct Report {
     height: u32,
     mse: f64,
     relmse: f64,
-    /// Infinite, and so null, for equal images.
+    /// Infinite for equal images, which is null in JSON.
     psnr: f64,
     ssim: f64,
     flip: f64,
@@ -50,7 +50,7 @@ struct Report {
     same_pixels: bool,
 }
 
-/// Compare.
+/// Runs `femc compare`.
 pub fn run(args: &CompareArgs, say: Say) -> Result<Exit, Failure> {
     if args.image.is_dir() && args.reference.is_dir() {
         return clips::run(&args.image, &args.reference, args.format.json, say);

@@ -1,4 +1,5 @@
-//! The solution as a glTF document: a node a material and side under one that turns the scene's z up into glTF's y up.
+//! The solution as a glTF document. Each material and side has one node. All nodes are below a root node that turns the scene's z
+//! up into glTF's y up.
 
 use super::glb::{Glb, TooLarge};
 use femc_pipeline::radiosity::{Mesh, Part};
@@ -9,30 +10,30 @@ use std::f64::consts::FRAC_1_SQRT_2;
 /// Whether the elements' edges are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wire {
-    /// As lines.
+    /// The edges are drawn as lines.
     Shown,
-    /// Not at all.
+    /// The edges are not drawn.
     Hidden,
 }
 
-/// Distance of the lines from the surface, as a share of the scene's extent.
+/// Distance of the lines from the surface, relative to the scene's extent.
 const LIFT: f32 = 1e-4;
-/// Gray of the lines.
+/// Gray value of the lines.
 const INK: f32 = 0.02;
 
-/// What the file says of itself.
+/// Metadata of the file.
 pub struct About<'a> {
     /// The frame.
     pub prepared: &'a Prepared,
-    /// Colors are luminances, cd/m2, times this.
+    /// Color of a luminance of 1 cd/m2: colors are luminances times this.
     pub scale: f32,
-    /// The same as an exposure value.
+    /// `scale` as an exposure value.
     pub ev: f64,
     /// The scene file.
     pub scene: String,
 }
 
-/// The file.
+/// Returns the bytes of the file.
 pub fn glb(meshes: &[Mesh], wire: Wire, about: &About<'_>) -> Result<Vec<u8>, TooLarge> {
     let mut glb = Glb::default();
     let (mut materials, mut shown, mut nodes) = (Vec::new(), Vec::new(), Vec::new());
@@ -96,7 +97,7 @@ fn name(mesh: &Mesh, prepared: &Prepared) -> String {
     format!("{material}{part}{side}")
 }
 
-/// Shown as it is, from its front.
+/// Returns an unlit, one-sided material.
 fn material(name: &str, gray: f32) -> Value {
     json!({
         "name": name,
@@ -108,7 +109,7 @@ fn material(name: &str, gray: f32) -> Value {
 
 fn surface(glb: &mut Glb, mesh: &Mesh, scale: f32, material: usize) -> Value {
     let colors: Vec<[f32; 3]> = mesh.radiance.iter().map(|color| color.map(|c| (c * scale).min(1.0))).collect();
-    // Exact up to 2^24, more than fit into a file.
+    // Exact up to 2^24, which is more than fits into a file.
     let number = |&index: &u32| if index == u32::MAX { -1.0 } else { index as f32 };
     json!({
         "attributes": {
@@ -126,7 +127,7 @@ fn surface(glb: &mut Glb, mesh: &Mesh, scale: f32, material: usize) -> Value {
     })
 }
 
-/// Lines a little in front of the surface.
+/// Returns lines a little in front of the surface.
 fn edges(glb: &mut Glb, mesh: &Mesh, lift: f32, material: usize) -> Value {
     let lifted = |(p, n): (&[f32; 3], &[f32; 3])| std::array::from_fn(|axis| p[axis] + lift * n[axis]);
     let positions: Vec<[f32; 3]> = mesh.positions.iter().zip(&mesh.normals).map(lifted).collect();

@@ -1,20 +1,20 @@
-//! Binary glTF 2.0 (\[gltf2\]): a document and one buffer, whose views and accessors are kept in step.
+//! Binary glTF 2.0 (\[gltf2\]): a document and one buffer. Views and accessors are kept consistent with the buffer.
 
 use serde_json::{Value, json};
 
-/// Component types of accessors.
+/// Component type of an accessor.
 const UNSIGNED_INT: u32 = 5125;
 const FLOAT: u32 = 5126;
-/// What a buffer view is for.
+/// Target of a buffer view.
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// The file has more bytes than its format can count.
+/// The file is larger than its format allows.
 #[derive(Debug, thiserror::Error)]
 #[error("the file would be larger than 4 GiB, which is the most that binary glTF can hold; use a larger --error")]
 pub struct TooLarge;
 
-/// A file in the making.
+/// A file under construction.
 #[derive(Default)]
 pub struct Glb {
     views: Vec<Value>,
@@ -23,18 +23,18 @@ pub struct Glb {
 }
 
 impl Glb {
-    /// Adds an attribute of vertices, at least one; its accessor's index.
+    /// Adds a vector attribute of at least one vertex. Returns the index of its accessor.
     pub fn vectors(&mut self, values: &[[f32; 3]]) -> usize {
         self.attribute(values.iter().copied(), values.len(), "VEC3")
     }
 
-    /// The same of numbers.
+    /// Adds a scalar attribute of at least one vertex. Returns the index of its accessor.
     pub fn scalars(&mut self, values: impl ExactSizeIterator<Item = f32>) -> usize {
         let count = values.len();
         self.attribute(values.map(|value| [value]), count, "SCALAR")
     }
 
-    /// Adds indices of vertices, `N` a triangle or line; their accessor's index.
+    /// Adds vertex indices, `N` per triangle or line. Returns the index of their accessor.
     pub fn indices<const N: usize>(&mut self, values: &[[u32; N]]) -> usize {
         let start = self.buffer.len();
         let all = values.iter().flatten();
@@ -64,7 +64,8 @@ impl Glb {
         })
     }
 
-    /// An accessor of what the buffer has from `start` on: always whole words, so that all are aligned.
+    /// Adds an accessor for the buffer from `start` to its end. The length is always a multiple of four bytes, so that all views
+    /// are aligned.
     fn accessor(&mut self, start: usize, target: u32, describe: impl FnOnce(usize) -> Value) -> usize {
         let length = self.buffer.len() - start;
         self.views.push(json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "target": target }));
@@ -72,10 +73,10 @@ impl Glb {
         self.accessors.len() - 1
     }
 
-    /// The file.
-    /// - `document`: all of the document but buffers, views and accessors; an object.
+    /// Returns the bytes of the file.
+    /// - `document`: the document without buffers, views and accessors; an object.
     pub fn finish(self, mut document: Value) -> Result<Vec<u8>, TooLarge> {
-        // Lists without an item are not allowed.
+        // glTF does not allow empty lists.
         if !self.buffer.is_empty() {
             document["buffers"] = json!([{ "byteLength": self.buffer.len() }]);
             document["bufferViews"] = self.views.into();

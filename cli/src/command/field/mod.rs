@@ -1,4 +1,4 @@
-//! `femc field SCENE -o solution.glb`: the finite-element first pass, solved and written for viewers of glTF.
+//! `femc field SCENE -o solution.glb`: solves the finite-element first pass and writes it for glTF viewers.
 
 mod document;
 mod glb;
@@ -19,7 +19,7 @@ use report::{Leaves, Links, Report};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-/// Solve the finite-element first pass and write it as glTF, to look at
+/// Solve the finite-element first pass and write it as glTF, for viewing
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc field scenes/cornell.mgf -o solution.glb    # open it in any viewer of glTF\n  \
@@ -34,20 +34,20 @@ pub struct FieldArgs {
     /// Scene file
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
-    /// File to write, and statistics to a .json beside it [default: by the scene's name]
+    /// File to write; statistics go to a .json beside it [default: the scene's name]
     #[arg(long, short, value_name = "FILE.glb")]
     out: Option<PathBuf>,
-    /// Greatest error of one link, as a share of what its receiver gets
+    /// Largest error of one link, relative to the light that its receiver gets
     #[arg(long, value_name = "E", default_value_t = Options::default().error, value_parser = share)]
     error: f32,
     /// Frame of the clip
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     frame: u32,
-    /// Memory of elements and links; what does not fit is not cut further
+    /// Memory limit for elements and links; when it is reached, refinement stops
     #[arg(long, value_name = "BYTES", default_value = "1GiB")]
     memory: Volume,
-    /// Exposure of the colors: auto (the log-average luminance of what sends light, by how much, is middle gray), or an exposure
-    /// value at ISO 100 (2^EV / 8 cd/m2 is middle gray; one more is half as bright)
+    /// Exposure of the colors: auto (the log-average luminance, weighted by the light that surfaces send, is middle gray), or an
+    /// exposure value at ISO 100 (2^EV / 8 cd/m2 is middle gray; one more is half as bright)
     #[arg(long, value_name = "auto|EV", default_value = "auto", allow_hyphen_values = true)]
     exposure: Exposure,
     /// Draw the elements' edges
@@ -59,14 +59,14 @@ pub struct FieldArgs {
     /// Override a scalar of the scene, like medium.fog.sigma_s=0.03 (repeatable)
     #[arg(long, value_name = "SELECTOR=VALUE")]
     set: Vec<Override>,
-    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    /// Folder that contains the includes, textures and lamps of the scene, at any depth [default: the scene's folder]
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
     #[command(flatten)]
     format: FormatArgs,
 }
 
-/// A share, > 0 and at most 10.
+/// Parses a share, > 0 and at most 10.
 fn share(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(share) if share > 0.0 && share <= 10.0 => Ok(share),
@@ -74,7 +74,7 @@ fn share(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Solve, write, tell.
+/// Runs `femc field`.
 pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     let out = target(args.out.as_deref(), &args.scene)?;
     let pool = threads::pool(args.threads)?;
@@ -167,7 +167,7 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The file that is meant, in a folder that is there.
+/// Returns the file to write. Fails if its folder does not exist.
 fn target(out: Option<&Path>, scene: &Path) -> Result<PathBuf, Failure> {
     let Some(out) = out else {
         return Ok(Path::new(scene.file_stem().unwrap_or_default()).with_extension("glb"));
@@ -185,8 +185,9 @@ fn target(out: Option<&Path>, scene: &Path) -> Result<PathBuf, Failure> {
     }
 }
 
-/// The tone curve whose exposure scales luminances to colors. Automatic exposure weights each surface by the light that it sends, so that
-/// the nearly black backs of walls have no influence. Lamps are left out: beside them all else would be dark.
+/// Returns the tone curve whose exposure scales luminances to colors. Automatic exposure weights each surface by the light that it
+/// sends, so that the nearly black backs of walls have no influence. Lamps are left out, because everything else would be dark
+/// beside them.
 fn curve(exposure: Exposure, meshes: &[Mesh]) -> ToneCurve {
     if exposure != Exposure::Auto {
         return exposure.curve(&Levels::default());

@@ -1,4 +1,4 @@
-//! What a solution is made of, for people and for machines.
+//! Report on a solution, for people and as JSON.
 
 use crate::output::{Say, human};
 use femc_pipeline::radiosity::{Kinds, Report as Found, Summary};
@@ -15,7 +15,7 @@ pub struct Report {
     pub out: String,
     /// This report's file.
     pub statistics: String,
-    /// Greatest error of a link that was asked for.
+    /// Requested largest error of a link.
     pub error: f32,
     /// The solver's time, s.
     pub seconds: f64,
@@ -25,25 +25,26 @@ pub struct Report {
     pub leaves: Leaves,
     /// Links.
     pub links: Links,
-    /// Links that are not as exact as asked for.
+    /// Number of links that are less exact than requested.
     pub refused: usize,
-    /// Visibility rays.
+    /// Number of visibility rays.
     pub rays: u64,
-    /// Times that light was passed on through all links.
+    /// Number of iterations. Each one passes light through all links.
     pub iterations: usize,
-    /// What further iterations would change of the light that leaves all elements, as a share of it.
+    /// Relative change of the light that leaves all elements, if there were further iterations.
     pub residual: f32,
-    /// Greatest irradiance of a point if all that it sees had a radiosity of 1; 1 in a closed scene, if all links were exact.
+    /// Largest irradiance of a point if everything that it sees had a radiosity of 1. It would be 1 in a closed scene with exact
+    /// links.
     pub row_sum: f32,
     /// Whether light grew from reflection to reflection and was bounded by the row sums.
     pub bounded: bool,
     /// Reason why a picture of the solution would be wrong; `null`: none is known.
     pub untrusted: Option<String>,
-    /// Light that rays find on all surfaces, over what the links bring there.
+    /// Light that check rays find on all surfaces, divided by the light that the links bring there.
     pub checked: f32,
-    /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
+    /// Root mean square, over all surfaces, of the correction by the check rays, divided by the mean of the links.
     pub corrected: f32,
-    /// Bytes of elements, links and rays.
+    /// Memory of elements, links and rays in bytes.
     pub bytes: usize,
     /// Flux, lm.
     pub energy: Energy,
@@ -53,15 +54,15 @@ pub struct Report {
     pub area: f64,
     /// Exposure value of the colors.
     pub exposure_ev: f64,
-    /// Colors are luminances, cd/m2, times this.
+    /// Color of a luminance of 1 cd/m2: colors are luminances times this.
     pub scale: f32,
-    /// Vertices and triangles of the file.
+    /// Vertices of the file.
     pub vertices: usize,
     /// Triangles of the file.
     pub triangles: usize,
 }
 
-/// Numbers by kind of element.
+/// Number of elements by kind.
 #[derive(Serialize)]
 pub struct Counts {
     all: usize,
@@ -81,9 +82,9 @@ impl From<Kinds> for Counts {
 /// Elements that are not cut further.
 #[derive(Serialize)]
 pub struct Leaves {
-    /// Of surfaces and fog.
+    /// Leaves of surfaces and fog.
     all: usize,
-    /// Sides of surfaces that have some.
+    /// Number of surface sides that have leaves.
     surfaces: usize,
     median_per_surface: usize,
     most_per_surface: usize,
@@ -92,9 +93,9 @@ pub struct Leaves {
 /// Links by kind.
 #[derive(Serialize)]
 pub struct Links {
-    /// Among elements.
+    /// Links among elements.
     elements: usize,
-    /// Of light sources with elements.
+    /// Links from light sources to elements.
     lamps: usize,
     by_receiver: Counts,
     by_sender: Counts,
@@ -108,7 +109,7 @@ pub struct Energy {
     absorbed: f64,
 }
 
-/// Mean irradiance of leaves by luminance, lx; the median by area.
+/// Mean irradiance of leaves by luminance, lx. The median is weighted by area.
 #[derive(Serialize)]
 pub struct Irradiance {
     least: f32,
@@ -117,7 +118,7 @@ pub struct Irradiance {
 }
 
 impl Leaves {
-    /// What of it the solver and the field say.
+    /// Collects the counts from the solver's report and the field's summary.
     pub fn of(found: &Found, light: &Summary) -> Self {
         Self {
             all: found.leaves,
@@ -129,7 +130,7 @@ impl Leaves {
 }
 
 impl Links {
-    /// What of it the solver says.
+    /// Collects the counts from the solver's report.
     pub fn of(found: &Found) -> Self {
         Self {
             elements: found.links,
@@ -153,7 +154,7 @@ impl From<&Summary> for Irradiance {
 }
 
 impl Report {
-    /// For people.
+    /// Prints the report for people.
     pub fn print(&self, say: Say) {
         let row = |name: &str, value: String| vec![name.to_owned(), value];
         let Counts { clusters, patches, curved, fog, .. } = self.elements;

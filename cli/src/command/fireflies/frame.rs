@@ -1,4 +1,4 @@
-//! A finished frame with what its file states about it.
+//! A finished frame with the metadata of its file.
 
 use crate::exit::{Failure, failed, usage};
 use crate::request::Stated;
@@ -8,17 +8,17 @@ use femc_pipeline::Settings;
 use femc_pipeline::account::Expected;
 use std::path::Path;
 
-/// What is in the file.
+/// Contents of the file.
 pub struct Frame {
-    /// What it was rendered with.
+    /// Settings that it was rendered with.
     pub settings: Settings,
     /// Digest of its scene.
     pub scene: String,
-    /// Number in the clip, from 1.
+    /// Frame number in the clip, from 1.
     pub number: u32,
-    /// Pixels.
+    /// Width in pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height in pixels.
     pub height: u32,
     image: Image,
     errors: Vec<f32>,
@@ -28,18 +28,18 @@ pub struct Frame {
 /// A block of pixels with a large error.
 #[derive(Clone, Copy, Debug)]
 pub struct WorstBlock {
-    /// The pixels.
+    /// Pixels of the block.
     pub rect: Rect,
-    /// Relative error as the file states it.
+    /// Relative error, as the file states it.
     pub error: f64,
     /// Mean luminance, cd/m2.
     pub mean: f64,
-    /// What the error is relative to: the mean, or the frame's floor, cd/m2.
+    /// Luminance that the error is relative to: the mean, or the frame's floor, cd/m2.
     pub scale: f64,
 }
 
 impl Frame {
-    /// Reads one that this build of the engine has rendered.
+    /// Reads a frame that this build of the engine has rendered.
     pub fn read(path: &Path) -> Result<Self, Failure> {
         let file = exr::read(path).map_err(|error| match error {
             FilmError::File { path, cause } if cause.kind() == std::io::ErrorKind::NotFound => {
@@ -65,13 +65,13 @@ impl Frame {
         y as usize * self.width as usize + x as usize
     }
 
-    /// A pixel.
+    /// Returns the samples and the color of a pixel.
     pub fn pixel(&self, pixel: (u32, u32)) -> Expected {
         let at = self.at(pixel);
         Expected { samples: self.samples[at] as u32, color: self.image.pixels[at] }
     }
 
-    /// The blocks of the largest errors, the worst first; of equal ones the upper left one.
+    /// Returns the blocks with the largest errors, the worst first. Of equal blocks, the upper left one comes first.
     pub fn worst_blocks(&self, most: usize) -> Vec<WorstBlock> {
         let luminance = |pixel| f64::from(self.image.luminance(self.at(pixel)));
         let frame = Rect { x: 0, y: 0, width: self.width, height: self.height };

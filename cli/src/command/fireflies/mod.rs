@@ -1,4 +1,4 @@
-//! `femc fireflies FRAME.exr SCENE`: where the error of a frame's worst blocks comes from, by tracing their samples again.
+//! `femc fireflies FRAME.exr SCENE`: attributes the error of a frame's noisiest blocks by tracing their samples again.
 
 mod frame;
 mod print;
@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Say where the error of a frame's worst blocks comes from: bounce, technique, object and lamp
+/// Attribute the error of a frame's noisiest blocks: bounce, technique, object and lamp
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc fireflies drive/roundabout.0012.exr scenes/roundabout.mgf\n  \
@@ -32,23 +32,23 @@ use std::sync::atomic::{AtomicU64, Ordering};
     SCENE must be the scene that the frame was rendered of, and this femc the same build of the engine. Overrides, camera, \
     size and frame are in the file.")]
 pub struct FirefliesArgs {
-    /// The frame, as femc has written it
+    /// Frame, as written by femc
     #[arg(value_name = "FRAME.exr")]
     frame: PathBuf,
     /// Its scene file
     #[arg(value_name = "SCENE")]
     scene: PathBuf,
-    /// Worst blocks to look at
+    /// Number of blocks to examine
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
     blocks: u32,
-    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    /// Folder that contains the includes, textures and lamps of the scene, at any depth [default: the scene's folder]
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
     #[command(flatten)]
     format: FormatArgs,
 }
 
-/// Read, trace again, list.
+/// Runs `femc fireflies`.
 pub fn run(args: &FirefliesArgs, say: Say) -> Result<Exit, Failure> {
     let frame = Frame::read(&args.frame)?;
     let (root, loaded) = load(&args.scene, args.root.as_deref())?;
@@ -77,7 +77,7 @@ pub fn run(args: &FirefliesArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The accounts of blocks, in order.
+/// Returns the accounts of the blocks, in order.
 fn accounts(frame: &Frame, prepared: &Prepared, lamps: &Lamps, worst: &[WorstBlock], say: Say) -> Vec<Account> {
     let (mut progress, samples) = (Progress::new(say, Clock), AtomicU64::new(0));
     let mut accounts = Vec::new();

@@ -1,14 +1,14 @@
-//! The report for people.
+//! Prints the report for people.
 
 use super::report::{BlockReport, BrightestReport, LampReport, OnReport, OriginReport, Report};
 use crate::output::{Say, human};
 
-/// Origins of the table.
+/// Number of origins in the table.
 const ROWS: usize = 15;
-/// Brightest samples whose paths are told.
+/// Number of brightest samples whose paths are printed.
 const PATHS: usize = 3;
 
-/// Blocks, table, paths.
+/// Prints blocks, table and paths.
 pub fn print(say: Say, report: &Report) {
     if report.blocks.is_empty() {
         say.result("no block has an error");
@@ -66,7 +66,7 @@ fn row(origin: &OriginReport) -> Vec<String> {
     ]
 }
 
-/// `light drawn at a surface`, `lamp met by scattering, guided`.
+/// Returns text like `light drawn at a surface`, `lamp met by scattering, guided`.
 fn technique(origin: &OriginReport) -> String {
     format!("{}{}", origin.how, if origin.guided { ", guided" } else { "" })
 }
@@ -81,7 +81,7 @@ fn path(origin: &OriginReport) -> String {
     format!("{x},{y} #{sample}: {}", vertices.collect::<Vec<_>>().join(" > "))
 }
 
-/// `asphalt of street`, `medium fog`.
+/// Returns text like `asphalt of street`, `medium fog`.
 fn spelled(on: &OnReport) -> String {
     let unnamed = |name: &str| if name.is_empty() { "(unnamed)".to_owned() } else { name.to_owned() };
     match (&on.material, &on.medium) {
@@ -102,7 +102,7 @@ fn share(fraction: f64) -> String {
     format!("{:.1} %", 100.0 * fraction)
 }
 
-/// Three digits.
+/// Formats a number with three digits.
 fn number(value: f64) -> String {
     match value.abs() {
         0.0 => "0".to_owned(),

@@ -1,4 +1,4 @@
-//! What the command says, with names in place of numbers.
+//! The report of `femc fireflies`, with names instead of indices.
 
 use super::frame::{Frame, WorstBlock};
 use femc_pipeline::Prepared;
@@ -8,46 +8,46 @@ use femc_scene::LampKind;
 use serde::Serialize;
 use std::path::Path;
 
-/// Pixels of a block that are named.
+/// Number of pixels listed per block.
 const PIXELS: usize = 3;
-/// Origins of a block that are listed.
+/// Number of origins listed per block.
 const ORIGINS: usize = 5;
 
-/// The whole.
+/// The whole report.
 #[derive(Serialize)]
 pub struct Report {
     frame: String,
     scene: String,
-    /// Samples that were traced again.
+    /// Number of samples that were traced again.
     pub samples: u64,
-    /// Pixels of the blocks, and how many of them had another mean than their samples now.
+    /// Number of pixels in the blocks.
     pub pixels: u64,
-    /// See above.
+    /// Number of these pixels whose mean differs from the mean of the samples traced again.
     pub unlike: u64,
-    /// Worst first.
+    /// Blocks, worst first.
     pub blocks: Vec<BlockReport>,
-    /// Of all these blocks together, each weighted by its relative variance; the largest share first.
+    /// Origins in all these blocks together, each block weighted by its relative variance; the largest share first.
     pub origins: Vec<OriginReport>,
 }
 
 /// A block.
 #[derive(Serialize)]
 pub struct BlockReport {
-    /// Upper left pixel.
+    /// Column of the upper left pixel.
     pub x: u32,
-    /// Upper left pixel.
+    /// Row of the upper left pixel.
     pub y: u32,
-    /// Pixels.
+    /// Width in pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height in pixels.
     pub height: u32,
-    /// As the file states it.
+    /// Relative error, as the file states it.
     pub relative_error: f64,
     /// Mean luminance, cd/m2.
     pub mean: f64,
-    /// Those with the most variance.
+    /// Pixels with the most variance.
     pub pixels: Vec<PixelReport>,
-    /// The largest shares.
+    /// Origins with the largest shares.
     pub origins: Vec<OriginReport>,
 }
 
@@ -58,34 +58,34 @@ pub struct PixelReport {
     pub x: u32,
     /// Row.
     pub y: u32,
-    /// 0 to 1.
+    /// Share of the variance, 0 to 1.
     pub share: f64,
 }
 
-/// An origin.
+/// An origin of light.
 #[derive(Clone, Serialize)]
 pub struct OriginReport {
-    /// Of the variance.
+    /// Share of the variance.
     pub share: f64,
-    /// Of the light.
+    /// Share of the light.
     pub light: f64,
-    /// Segment of the path, 0: the camera's.
+    /// Segment of the path; 0 is the camera's.
     pub bounce: u32,
     /// Technique.
     pub how: &'static str,
-    /// Whether the first pass has drawn a direction of the path until then, with the method `femc`.
+    /// Whether the first pass has guided a direction of the path before the light, with the method `femc`.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub guided: bool,
-    /// What it was scattered by last.
+    /// Object or medium that scattered the path last.
     pub on: OnReport,
-    /// The lamp; none: a medium that glows.
+    /// Lamp; none: a glowing medium.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lamp: Option<LampReport>,
     /// The brightest contribution.
     pub brightest: BrightestReport,
 }
 
-/// What light was scattered by.
+/// Object or medium that scattered light.
 #[derive(Clone, Default, Serialize)]
 pub struct OnReport {
     /// Dotted name of the innermost object.
@@ -99,11 +99,11 @@ pub struct OnReport {
     pub medium: Option<String>,
 }
 
-/// A lamp, named as by `femc check`.
+/// A lamp, named as in `femc check`.
 #[derive(Clone, Serialize)]
 pub struct LampReport {
     kind: &'static str,
-    /// Of the material, or the path of the IES file.
+    /// Name of the material, or path of the IES file.
     pub name: String,
     /// Dotted name of the innermost object.
     #[serde(skip_serializing_if = "String::is_empty")]
@@ -121,43 +121,43 @@ pub struct BrightestReport {
     pub y: u32,
     /// Number of the sample.
     pub sample: u32,
-    /// cd/m2.
+    /// Luminance, cd/m2.
     pub luminance: f64,
-    /// Times the pixel's mean.
+    /// Luminance divided by the pixel's mean.
     pub times_mean: f64,
-    /// Vertices of its path until there, from the camera, and at last where light was found.
+    /// Vertices of the path from the camera to the place where light was found.
     pub path: Vec<VertexReport>,
 }
 
 /// A vertex of a path.
 #[derive(Clone, Serialize)]
 pub struct VertexReport {
-    /// What is there.
+    /// Object or medium at the vertex.
     #[serde(flatten)]
     pub on: OnReport,
-    /// World, m.
+    /// Position in the world, m.
     pub position: [f64; 3],
 }
 
-/// How to name things.
+/// Lookup of names for indices.
 pub struct Names<'a> {
     /// The frame.
     pub prepared: &'a Prepared,
     /// Its lamps.
     pub lamps: &'a Lamps,
-    /// A file of the scene as it is reached from here.
+    /// Function that returns a file of the scene as it is reached from the current folder.
     pub shown: &'a dyn Fn(&str) -> String,
 }
 
 impl LampReport {
-    /// `file:line`.
+    /// Returns the location as `file:line`.
     pub fn place(&self) -> String {
         format!("{}:{}", self.file, self.line)
     }
 }
 
 impl Report {
-    /// Of the blocks' accounts.
+    /// Creates the report from the blocks' accounts.
     pub fn new(
         path: &Path,
         scene: &Path,
@@ -202,7 +202,7 @@ fn part(of: f64, all: f64) -> f64 {
     if all > 0.0 { of / all } else { 0.0 }
 }
 
-/// The largest shares, in order.
+/// Returns the origins with the largest shares, in order.
 fn origins(account: &Account, frame: &Frame, names: &Names<'_>, most: usize) -> Vec<OriginReport> {
     let mut sorted: Vec<(&Origin, &Part)> = account.parts.iter().collect();
     sorted.sort_by(|a, b| b.1.variance.total_cmp(&a.1.variance));
@@ -265,7 +265,7 @@ impl Names<'_> {
         }
     }
 
-    /// The sample is traced once more, for its path.
+    /// Traces the brightest sample once more to get its path.
     fn brightest(&self, frame: &Frame, origin: &Origin, it: &Brightest) -> BrightestReport {
         let mut replay = Replay::new(self.prepared, &frame.settings);
         let (_, recording) = replay.sample(it.pixel, it.sample);

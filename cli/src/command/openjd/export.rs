@@ -1,4 +1,4 @@
-//! A job as a template: each task is `femc render` of one variant and of some frames.
+//! Export of a job as a template. Each task runs `femc render` for one variant and some frames.
 
 mod document;
 
@@ -14,25 +14,25 @@ use std::collections::BTreeSet;
 use std::num::NonZeroUsize;
 use std::path::Path;
 
-/// A template, and what of the job is not in it.
+/// A template, and the parts of the job that it lacks.
 #[derive(Debug)]
 pub struct Exported {
-    /// JSON or YAML, as the file's name ends.
+    /// JSON or YAML, depending on the extension of the file name.
     pub text: String,
-    /// One line each.
+    /// Parts that were left out, one line each.
     pub left_out: Vec<String>,
 }
 
-/// How a job's frames become tasks.
+/// Distribution of a job's frames to tasks.
 #[derive(Clone, Copy, Debug)]
 pub struct FramesOf<'a> {
-    /// Those of every variant, ascending; not used where frames are an axis.
+    /// Frames of every variant, ascending; unused if frames are an axis.
     pub all: &'a [u32],
-    /// Most frames of a task.
+    /// Largest number of frames per task.
     pub chunk: NonZeroUsize,
 }
 
-/// The template of `job` that will stand at `out`.
+/// Exports `job` as a template for the file `out`.
 pub fn export(job: &JobFile, frames: FramesOf<'_>, out: &Path) -> Result<Exported, TemplateError> {
     let (mut columns, zipped) = columns(job);
     let stem = job.scene.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
@@ -82,18 +82,18 @@ pub fn export(job: &JobFile, frames: FramesOf<'_>, out: &Path) -> Result<Exporte
         attributes: tags,
     };
     let text = document.write(out)?;
-    // What a template may not be, this may not be.
+    // The exported template must pass the checks of any other template.
     Template::parse(out, &text, &[])?;
     Ok(Exported { text, left_out })
 }
 
-/// A task parameter and the flag that it is for.
+/// A task parameter and its flag.
 struct Column {
-    /// The setting's long name, or the selector.
+    /// Long name of the setting, or the selector.
     name: String,
-    /// Name within variants' names.
+    /// Name used in the names of variants.
     label: String,
-    /// Name within the template.
+    /// Name used in the template.
     parameter: String,
     is_scalar: bool,
     range: Range,
@@ -110,7 +110,7 @@ impl Column {
     }
 }
 
-/// A column for each axis, and whether their values go together.
+/// Returns a column for each axis, and whether their values are combined one by one (zip).
 fn columns(job: &JobFile) -> (Vec<Column>, bool) {
     let Some(sweep) = &job.sweep else { return (Vec::new(), false) };
     let mut used = BTreeSet::from(["Frame".to_owned(), "Frames".to_owned()]);
@@ -130,7 +130,7 @@ fn columns(job: &JobFile) -> (Vec<Column>, bool) {
     (sweep.axes.iter().zip(sweep.labels()).map(column).collect(), sweep.mode == Mode::Zip)
 }
 
-/// `SigmaS` of `sigma_s`: letters and digits alone, because older implementations know no others in combinations.
+/// Converts `sigma_s` to `SigmaS`: only letters and digits, because older implementations allow nothing else in combinations.
 fn identifier(label: &str) -> String {
     let parts = label.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
     let part = |part: &str| part[..1].to_ascii_uppercase() + &part[1..];
@@ -138,7 +138,7 @@ fn identifier(label: &str) -> String {
     if joined.starts_with(|c: char| c.is_ascii_alphabetic()) { joined } else { format!("P{joined}") }
 }
 
-/// The folder of a variant, named as `femc sweep` names it.
+/// Returns the folder of a variant, named as by `femc sweep`.
 fn variant(columns: &[Column]) -> String {
     let part =
         |column: &Column| format!("{}={{{{Task.Param.{}}}}}", escape_format_string(&column.label), column.parameter);
@@ -160,7 +160,7 @@ fn chunks(FramesOf { all, chunk }: FramesOf<'_>) -> Column {
     column("Frames", Range::Texts(all.chunks(chunk.get()).map(text).collect()))
 }
 
-/// Flags of what is the same for all variants.
+/// Returns the flags that are the same for all variants.
 fn constants(job: &JobFile) -> Vec<String> {
     let axes: BTreeSet<&str> = job.sweep.iter().flat_map(|sweep| &sweep.axes).map(|axis| axis.name.as_str()).collect();
     let is_stop = |name: &str| ["spp", "error", "time"].contains(&name);
@@ -186,7 +186,7 @@ fn constants(job: &JobFile) -> Vec<String> {
     flags
 }
 
-/// Tags as an attribute of hosts, and lines about those that cannot be one's value.
+/// Returns the tags as an attribute of hosts, and lines about tags that cannot be a value of an attribute.
 fn tags(job: &JobFile) -> (Option<HostAttribute>, Vec<String>) {
     let is_value = |tag: &&String| {
         let may_begin = |c: char| c.is_ascii_alphabetic() || c == '_';
@@ -199,7 +199,7 @@ fn tags(job: &JobFile) -> (Option<HostAttribute>, Vec<String>) {
     (Some(attribute).filter(|attribute| !attribute.all_of.is_empty()), unfit.into_iter().map(left_out).collect())
 }
 
-/// Lines about what a template has no place for.
+/// Returns lines about the parts of a job that a template cannot express.
 fn lost(job: &JobFile) -> Vec<String> {
     let mut lost = Vec::new();
     if job.priority.is_some() {

@@ -1,5 +1,5 @@
-//! A template as a job file: tasks that differ in their frames alone are one variant, and settings that differ from variant
-//! to variant are axes.
+//! Import of a template as a job file. Tasks that differ only in their frames become one variant. Settings that differ between
+//! variants become axes.
 
 use super::place::{absolute, relative};
 use super::template::{Template, TemplateError};
@@ -13,25 +13,25 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The attribute of hosts by which a job's tags travel.
+/// Attribute of hosts that carries a job's tags.
 pub const TAGS: &str = "attr.femc.tags";
 const RUN: &str = "steps.0.script.actions.onRun";
 
-/// A job file, and what of the template is not in it.
+/// A job file, and the parts of the template that it lacks.
 #[derive(Debug)]
 pub struct Imported {
-    /// TOML.
+    /// Text of the job file, TOML.
     pub text: String,
-    /// One line each.
+    /// Parts that were left out, one line each.
     pub left_out: Vec<String>,
-    /// >= 1.
+    /// Number of variants, >= 1.
     pub variants: usize,
 }
 
-/// The settings of each, by name.
+/// Settings of each variant, by name.
 type Variants = Vec<BTreeMap<String, Change>>;
 
-/// The job file that does what the template's tasks do; it will stand at `out`.
+/// Imports a template as a job file that does the same as the template's tasks, for the path `out`.
 pub fn import(template: &Template, out: &Path) -> Result<Imported, TemplateError> {
     let mut left_out = simple(template)?;
     let tasks = read(template)?;
@@ -57,12 +57,12 @@ pub fn import(template: &Template, out: &Path) -> Result<Imported, TemplateError
     lines.extend(settings(&variants[0], &axes, &rest, &tags));
     lines.extend(sweep(&variants, &axes));
     let text = lines.join("\n") + "\n";
-    // What a job file may not be, this may not be.
+    // The imported job file must pass the checks of any other job file.
     JobFile::parse(out, &text).map_err(|error| template.fault("steps.0.parameterSpace", error))?;
     Ok(Imported { text, left_out, variants: variants.len() })
 }
 
-/// Refuses what is no simple template; what is left out of it.
+/// Refuses templates that cannot become a sweep. Returns lines about parts that are left out.
 fn simple(template: &Template) -> Result<Vec<String>, TemplateError> {
     let (job, written) = (&template.job, &template.written);
     if job.steps.len() > 1 {
@@ -100,7 +100,7 @@ fn read(template: &Template) -> Result<Vec<Written>, TemplateError> {
     template.command_lines()?.iter().map(read).collect()
 }
 
-/// What all tasks must have in common.
+/// Returns the scene and settings that all tasks must have in common.
 fn common(template: &Template, tasks: &[Written]) -> Result<(PathBuf, Rest), TemplateError> {
     let args = format!("{RUN}.args");
     let Some(first) = tasks.first() else { return Err(template.fault("steps.0.parameterSpace", "it has no tasks")) };
@@ -118,20 +118,20 @@ fn common(template: &Template, tasks: &[Written]) -> Result<(PathBuf, Rest), Tem
     Ok((first.scene.clone(), first.rest.clone()))
 }
 
-/// Tasks of the same settings but for frames.
+/// Tasks whose settings differ only in their frames.
 struct Group {
     changes: BTreeMap<String, Change>,
-    /// Each once; none: all of the clip.
+    /// Frames of the tasks, without duplicates; empty: all frames of the clip.
     frames: Vec<Frames>,
 }
 
-/// The variants in the order of the tasks, and how many tasks are another's double.
+/// Returns the variants in the order of the tasks, and the number of duplicate tasks.
 fn variants(template: &Template, tasks: Vec<Written>) -> Result<(Variants, usize), TemplateError> {
     let (groups, twice) = groups(tasks);
     let joined: Option<Vec<Vec<Frames>>> = groups.iter().map(|group| joined(&group.frames)).collect();
     let all_frames = match joined {
         Some(joined) => joined,
-        // Of some variants they cannot be one setting: then each task is a variant.
+        // The frames of some group cannot be written as one setting: then each task is a variant.
         None => groups.iter().map(|group| group.frames.clone()).collect(),
     };
     let mut variants = Variants::new();
@@ -175,7 +175,7 @@ fn groups(tasks: Vec<Written>) -> (Vec<Group>, usize) {
     (groups, twice)
 }
 
-/// Frames of several tasks as one setting, if they do not overlap and have one step.
+/// Returns the frames of several tasks as one setting, if they do not overlap and have one step.
 fn joined(frames: &[Frames]) -> Option<Vec<Frames>> {
     if frames.len() < 2 {
         return Some(frames.to_vec());
@@ -188,7 +188,7 @@ fn joined(frames: &[Frames]) -> Option<Vec<Frames>> {
     Frames::of(&all).filter(|_| !overlap).map(|frames| vec![frames])
 }
 
-/// The names of the settings that differ, the one that changes most slowly first; of those that change together, in the
+/// Returns the names of the settings that differ, the one that changes most slowly first. Settings that change together are in the
 /// order of the arguments.
 fn axes(template: &Template, variants: &Variants) -> Vec<String> {
     let first = &variants[0];
@@ -209,7 +209,7 @@ fn heading(template: &Template) -> Vec<String> {
     lines.iter().map(|line| format!("# {}", line.replace(char::is_control, " "))).collect()
 }
 
-/// What all variants have in common.
+/// Returns the lines of the settings that all variants have in common.
 fn settings(changes: &BTreeMap<String, Change>, axes: &[String], rest: &Rest, tags: &[String]) -> Vec<String> {
     let mut lines = Vec::new();
     if !tags.is_empty() {
@@ -232,7 +232,7 @@ fn settings(changes: &BTreeMap<String, Change>, axes: &[String], rest: &Rest, ta
     lines
 }
 
-/// All combinations where these are all, else value by value.
+/// Returns the lines of the sweep: all combinations (grid) if the variants are exactly those, else value by value (zip).
 fn sweep(variants: &Variants, axes: &[String]) -> Vec<String> {
     if axes.is_empty() {
         return Vec::new();
@@ -242,7 +242,7 @@ fn sweep(variants: &Variants, axes: &[String]) -> Vec<String> {
         let mut seen = BTreeSet::new();
         column(axis).into_iter().filter(|value| seen.insert(value.clone())).collect::<Vec<String>>()
     };
-    // Variants differ from each other: as many as there are combinations are all of them.
+    // Variants are distinct, so equal numbers of variants and combinations mean that all combinations are there.
     let combinations = axes.iter().try_fold(1usize, |count, axis| count.checked_mul(distinct(axis).len()));
     let is_grid = combinations == Some(variants.len());
     let mut lines = vec!["[sweep]".to_owned()];
@@ -258,7 +258,7 @@ fn sweep(variants: &Variants, axes: &[String]) -> Vec<String> {
     lines
 }
 
-/// Tags, and lines about requirements that are none.
+/// Returns the tags, and lines about requirements that are not tags.
 fn tags(template: &Template) -> (Vec<String>, Vec<String>) {
     let Some(HostRequirements { amounts, attributes }) = &template.job.steps[0].host_requirements else {
         return (Vec::new(), Vec::new());
@@ -276,7 +276,7 @@ fn tags(template: &Template) -> (Vec<String>, Vec<String>) {
     (tags, lost)
 }
 
-/// As TOML.
+/// Formats a value as TOML.
 fn value(change: &Change) -> String {
     match change.as_number() {
         Some(_) if !matches!(change, Change::Time(_)) => change.text(),

@@ -1,10 +1,10 @@
-//! `femc openjd import` and `export`: sweeps from and for farms that speak Open Job Description
-//! (<https://github.com/OpenJobDescription>); docs/openjd.md has the table of what maps and what does not.
+//! `femc openjd import` and `export`: sweeps from and for farms that use Open Job Description
+//! (<https://github.com/OpenJobDescription>). docs/openjd.md has the table of supported features.
 //!
-//! A template becomes a sweep by what its tasks do, not by how it is written: the crate `openjd-model` reads it, checks it and
-//! goes through its parameter space, every task's command line is read as `femc render` reads its own, and settings that differ
-//! from task to task become axes. So products, associations, expressions and chunks need no rules of their own here. It costs
-//! that a template of another program's command lines is refused.
+//! The import depends on what the tasks of a template do, not on how the template is written. The crate `openjd-model` reads it,
+//! checks it and iterates over its parameter space. Every task's command line is parsed like that of `femc render`, and settings
+//! that differ from task to task become axes. So products, associations, expressions and chunks need no rules of their own here.
+//! The price is that a template that runs other programs is refused.
 
 mod export;
 mod import;
@@ -25,7 +25,7 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use template::{Template, TemplateError};
 
-/// Make sweeps of Open Job Description templates, and templates of jobs
+/// Convert Open Job Description templates into sweeps, and jobs into templates
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc openjd export fog.toml -o fog.yaml --chunk 10   # each task: `femc render` of a variant and of 10 frames\n  \
@@ -40,7 +40,7 @@ pub struct OpenjdArgs {
 
 #[derive(Debug, Subcommand)]
 enum OpenjdCommand {
-    /// Write the job file that does what a template's tasks do: they must run `femc render`
+    /// Write a job file that does the same as a template's tasks: they must run `femc render`
     #[command(after_help = "Examples:\n  femc openjd import fog.yaml -o fog.toml\n  \
         femc openjd import fog.yaml -o fog.toml -p Scene=scenes/roundabout.mgf -p Spp=64")]
     Import(ImportArgs),
@@ -55,10 +55,10 @@ struct ImportArgs {
     /// Job template of specification 2023-09, YAML or JSON
     #[arg(value_name = "TEMPLATE")]
     template: PathBuf,
-    /// The job file
+    /// Job file to write
     #[arg(long, short, value_name = "JOB.toml")]
     out: PathBuf,
-    /// Value of a job parameter, where not its default (repeatable)
+    /// Value of a job parameter, instead of its default (repeatable)
     #[arg(long = "param", short, value_name = "NAME=VALUE", value_parser = named)]
     params: Vec<(String, String)>,
 }
@@ -68,10 +68,10 @@ struct ExportArgs {
     /// Job file, with or without a `[sweep]`
     #[arg(value_name = "JOB.toml")]
     job: PathBuf,
-    /// The template: JSON if it ends in .json, else YAML
+    /// Template to write: JSON if it ends in .json, else YAML
     #[arg(long, short, value_name = "TEMPLATE")]
     out: PathBuf,
-    /// Most frames of a task
+    /// Largest number of frames per task
     #[arg(long, value_name = "N", default_value = "1")]
     chunk: NonZeroUsize,
 }
@@ -81,7 +81,7 @@ fn named(text: &str) -> Result<(String, String), String> {
     split.map(|(name, value)| (name.to_owned(), value.to_owned())).ok_or_else(|| "write NAME=VALUE".to_owned())
 }
 
-/// Import or export.
+/// Runs `femc openjd`.
 pub fn run(args: &OpenjdArgs, say: Say) -> Result<Exit, Failure> {
     match &args.command {
         OpenjdCommand::Import(args) => import(args, say),
@@ -113,7 +113,7 @@ fn export(args: &ExportArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// The frames of the first variant; every variant is planned, so that a template is no worse than its job.
+/// Returns the frames of the first variant. Plans every variant, so that the template is as valid as its job.
 fn frames(job: &JobFile, base: &Base) -> Result<Vec<u32>, Failure> {
     let ask = |settings: &SettingsArgs| Ok(base.ask(settings, &|key| job.at(key))?.plan.frames);
     let Some(sweep) = &job.sweep else { return ask(&job.settings) };
@@ -126,7 +126,7 @@ fn write(path: &Path, text: &str) -> Result<(), Failure> {
     femc_film::file::write_atomic(path, text.as_bytes()).map_err(failed)
 }
 
-/// A file that cannot be read is wrong usage, as everywhere; a template that cannot be used is a fault that was found.
+/// Maps an unreadable file to wrong usage, like all commands, and an unusable template to a found fault.
 fn refused(error: TemplateError) -> Failure {
     match error {
         TemplateError::Read { .. } => usage(error),

@@ -1,8 +1,8 @@
-//! Paths in templates and job files: relative to the folder that they stand in, wherever that is.
+//! Paths in templates and job files: relative to the folder of the file.
 
 use std::path::{Component, Path, PathBuf};
 
-/// `path` without `.` and `..`, absolute; `from`: what it is relative to.
+/// Returns `path` as an absolute path without `.` and `..`; `from`: folder that it is relative to.
 pub fn absolute(from: &Path, path: &Path) -> PathBuf {
     let joined = Path::new(".").join(from).join(path);
     let joined = std::path::absolute(&joined).unwrap_or(joined);
@@ -17,7 +17,7 @@ pub fn absolute(from: &Path, path: &Path) -> PathBuf {
     out
 }
 
-/// `path` as seen from `folder`, with `/` between its parts; absolute where they have nothing but the root in common.
+/// Returns `path` relative to `folder`, with `/` between its parts; absolute if they share only the root.
 pub fn relative(folder: &Path, path: &Path) -> String {
     let (folder, path) = (absolute(Path::new(""), folder), absolute(Path::new(""), path));
     let common = folder.components().zip(path.components()).take_while(|(a, b)| a == b).count();

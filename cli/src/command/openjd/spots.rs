@@ -1,4 +1,4 @@
-//! Where the parts of a template stand in its file.
+//! Positions of the parts of a template in its file.
 
 use crate::values::Place;
 use openjd_model::PathElement;
@@ -7,7 +7,7 @@ use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_saphyr::{Location, Spanned};
 use std::fmt;
 
-/// A document's parts and their places; JSON is read as the YAML that it is.
+/// The parts of a document and their positions. JSON is read as YAML, because it is valid YAML.
 #[derive(Debug)]
 pub struct Spots(Option<Spanned<Node>>);
 
@@ -20,12 +20,12 @@ enum Node {
 }
 
 impl Spots {
-    /// Of a text; of one that cannot be read no place is known.
+    /// Parses a text. If it cannot be parsed, no position is known.
     pub fn of(text: &str) -> Self {
         Self(serde_saphyr::from_str(text).ok())
     }
 
-    /// Where the part at `path` begins, or the innermost part around it that is there.
+    /// Returns the position of the part at `path`, or of the innermost existing part around it.
     pub fn find(&self, path: &[PathElement]) -> Option<Place> {
         let mut at = self.0.as_ref()?;
         for element in path {
@@ -43,7 +43,7 @@ impl Spots {
     }
 }
 
-/// A place, if it is known.
+/// Converts a position, if it is known.
 pub fn place(at: Location) -> Option<Place> {
     let [line, column] = [at.line(), at.column()].map(|number| usize::try_from(number).unwrap_or(0));
     (line > 0 && column > 0).then_some(Place { line, column })

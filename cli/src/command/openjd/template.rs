@@ -1,4 +1,4 @@
-//! A template read and checked, its parameters bound, and the command lines of its tasks.
+//! A checked template with bound parameters, and the command lines of its tasks.
 
 use super::spots::{Spots, place};
 use crate::values::Place;
@@ -12,26 +12,26 @@ use openjd_model::{
 };
 use std::path::{Path, PathBuf};
 
-/// Most tasks that are looked at.
+/// Largest number of tasks.
 const MAX_TASKS: u64 = 1 << 20;
-/// Extensions of the specification that are understood.
+/// Supported extensions of the specification.
 const EXTENSIONS: [&str; 4] = ["TASK_CHUNKING", "EXPR", "FEATURE_BUNDLE_1", "REDACTED_ENV_VARS"];
 
-/// Why a file is no template, or no sweep.
+/// An error of a file that is not a template, or not a sweep.
 #[derive(Debug, thiserror::Error)]
 pub enum TemplateError {
-    /// Not readable.
+    /// The file cannot be read.
     #[error("{}: {cause}", path.display())]
     Read {
-        /// The template.
+        /// File of the template.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         cause: std::io::Error,
     },
-    /// Not of the specification, or of no use here.
+    /// The template violates the specification, or cannot be used here.
     #[error("{}", faults.join("\n"))]
     Faults {
-        /// One line each: file, line, column, part, what is wrong there.
+        /// Faults, one line each: file, line, column, part, description.
         faults: Vec<String>,
     },
 }
@@ -41,14 +41,14 @@ pub enum TemplateError {
 pub struct Template {
     path: PathBuf,
     spots: Spots,
-    /// As written.
+    /// Template as written.
     pub written: JobTemplate,
-    /// With values for parameters.
+    /// Job with values for the parameters.
     pub job: Job,
     values: JobParameterValues,
 }
 
-/// A part of a template by its path, names and numbers with points between: `steps.0.script`.
+/// Parses the path of a part of a template, names and numbers separated by points: `steps.0.script`.
 pub fn part(path: &str) -> Vec<PathElement> {
     let element = |part: &str| match part.parse() {
         Ok(index) => PathElement::Index(index),
@@ -58,13 +58,13 @@ pub fn part(path: &str) -> Vec<PathElement> {
 }
 
 impl Template {
-    /// Read and check the file `path`; `given`: values of parameters by name.
+    /// Reads and checks the file `path`; `given`: values of parameters by name.
     pub fn open(path: &Path, given: &[(String, String)]) -> Result<Self, TemplateError> {
         let read = |cause| TemplateError::Read { path: path.to_owned(), cause };
         Self::parse(path, &std::fs::read_to_string(path).map_err(read)?, given)
     }
 
-    /// The template in `text`, which stands in the file `path`.
+    /// Parses and checks the template in `text`; `path`: its file.
     pub fn parse(path: &Path, text: &str, given: &[(String, String)]) -> Result<Self, TemplateError> {
         let spots = Spots::of(text);
         let limits = CallerLimits { max_task_count: Some(MAX_TASKS), ..CallerLimits::default() };
@@ -93,33 +93,33 @@ impl Template {
         }
     }
 
-    /// The folder that it stands in.
+    /// Returns the folder of the template.
     pub fn folder(&self) -> &Path {
         self.path.parent().unwrap_or(Path::new(""))
     }
 
-    /// The file's name.
+    /// Returns the file's name.
     pub fn file(&self) -> String {
         self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
-    /// A line about a part of it: file, line, column, part, `what`.
+    /// Returns a line about a part of the template: file, line, column, part, `what`.
     pub fn line_about(&self, at: &str, what: impl std::fmt::Display) -> String {
         let at = part(at);
         line_about(&self.path, self.spots.find(&at), &at, what)
     }
 
-    /// What is wrong with a part of it.
+    /// Returns an error about a part of the template.
     pub fn fault(&self, at: &str, what: impl std::fmt::Display) -> TemplateError {
         TemplateError::Faults { faults: vec![self.line_about(at, what)] }
     }
 
-    /// What the first step runs.
+    /// Returns the action of the first step.
     pub fn action(&self) -> &Action {
         &self.job.steps[0].script.actions.on_run
     }
 
-    /// The command of each task of the first step and its arguments, in the order of its parameter space.
+    /// Returns the command line of each task of the first step, in the order of its parameter space.
     pub fn command_lines(&self) -> Result<Vec<Vec<String>>, TemplateError> {
         let spaced = |error: ModelError| self.fault("steps.0.parameterSpace", one_line(&error.to_string()));
         let tasks: Vec<TaskParameterSet> = match &self.job.steps[0].parameter_space {
@@ -130,7 +130,7 @@ impl Template {
         tasks.iter().map(|task| self.command_line(&job, task)).collect()
     }
 
-    /// What format strings may name, besides the task's own parameters.
+    /// Returns the symbols that format strings may use, without the task's own parameters.
     fn symbols(&self) -> Result<SymbolTable, ModelError> {
         let mut symbols = build_symbol_table(&self.values)?;
         for (name, value) in self.values.iter().filter(|(_, value)| value.param_type == JobParameterType::Path) {
@@ -169,7 +169,7 @@ impl Template {
     }
 }
 
-/// Each fault of a template on a line of its own.
+/// Returns the faults of a template, one per line.
 fn faults(path: &Path, text: &str, spots: &Spots, error: &ModelError) -> Vec<String> {
     match error {
         ModelError::ModelValidation(all) => {
@@ -180,14 +180,14 @@ fn faults(path: &Path, text: &str, spots: &Spots, error: &ModelError) -> Vec<Str
             all.errors.iter().map(line).collect()
         }
         other => {
-            // What does not have the template's form is not told with its place; reading it once more tells that.
+            // The error for a malformed template has no location; parsing the text once more yields one.
             let again = serde_saphyr::from_str::<JobTemplate>(text).err();
             vec![line_about(path, again.and_then(|error| place(error.location()?)), &[], one_line(&plain(other)))]
         }
     }
 }
 
-/// Without the name of the kind.
+/// Returns the message without the name of the error kind.
 fn plain(error: &ModelError) -> String {
     match error {
         ModelError::DecodeValidation(what) | ModelError::Compatibility(what) | ModelError::UnsupportedSchema(what) => {
@@ -214,7 +214,7 @@ fn line_about(path: &Path, place: Option<Place>, at: &[PathElement], what: impl 
     format!("{line}: {pointer}{gap}{what}")
 }
 
-/// The first line of a message, which says it all; others draw it.
+/// Returns the first line of a message, which is complete. Further lines only quote the source.
 fn one_line(message: &str) -> String {
     message.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or_default().to_owned()
 }

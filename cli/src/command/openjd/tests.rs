@@ -1,4 +1,5 @@
-//! Which templates become which sweeps, what is told of the others, and that what is exported comes back.
+//! Tests of import and export: which templates become which sweeps, the messages for all others, and that an exported template can
+//! be imported again.
 
 use super::export::{FramesOf, export};
 use super::import::import;
@@ -7,7 +8,7 @@ use crate::request::JobFile;
 use std::num::NonZeroUsize;
 use std::path::Path;
 
-/// A template of one step with this space and these arguments of `femc`, line by line, in `/t/fog.yaml`.
+/// Returns a template of one step with this space and these arguments of `femc`, line by line, in `/t/fog.yaml`.
 fn template(space: &str, args: &[&str]) -> String {
     let args: String = args.iter().map(|arg| format!("          - \"{arg}\"\n")).collect();
     format!(
@@ -17,7 +18,7 @@ fn template(space: &str, args: &[&str]) -> String {
     )
 }
 
-/// A space of these parameters, one a line, and how they are joined.
+/// Returns a space of these parameters, one per line, and their combination.
 fn space(parameters: &[&str], combination: &str) -> String {
     let lines: String = parameters.iter().map(|line| format!("        - {{ {line} }}\n")).collect();
     let joined = if combination.is_empty() { String::new() } else { format!("      combination: \"{combination}\"\n") };
@@ -29,7 +30,7 @@ const FOG: &str = "name: Fog, type: FLOAT, range: [0.01, 0.05]";
 const SEED: &str = "name: Seed, type: INT, range: [3, 4]";
 const CAMERA: &str = "name: Camera, type: STRING, range: [left, right, top]";
 
-/// The job file without its comments, and what is left out.
+/// Returns the job file without its comments, and the parts that were left out.
 fn imported(text: &str) -> Result<(String, Vec<String>), String> {
     let template = Template::parse(Path::new("/t/fog.yaml"), text, &[]).map_err(|error| error.to_string())?;
     let imported = import(&template, Path::new("/t/job.toml")).map_err(|error| error.to_string())?;
@@ -178,7 +179,7 @@ fn job(text: &str) -> JobFile {
     JobFile::parse(Path::new("/t/job.toml"), &format!("scene = \"scenes/fog.mgf\"\n{text}")).expect("a job")
 }
 
-/// The values of every variant with its frames, as a line each; sorted, because axes may come back in another order.
+/// Returns one line for every variant with its values and frames; sorted, because axes may come back in another order.
 fn variants(job: &JobFile, all: &[u32]) -> Vec<String> {
     let line = |settings: &crate::args::SettingsArgs| {
         let frames = settings.frames.as_ref().map_or(all.to_vec(), |frames| frames.resolve(u32::MAX).expect("frames"));

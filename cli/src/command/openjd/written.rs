@@ -1,4 +1,4 @@
-//! A task's command line, read as `femc render` reads its own.
+//! A task's command line, parsed like that of `femc render`.
 
 use crate::args::{CommonArgs, ExtrasArgs, SettingsArgs, Stats};
 use crate::command::render::RenderArgs;
@@ -8,18 +8,18 @@ use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use std::path::{Path, PathBuf};
 
-/// What a task renders.
+/// Request of one task.
 #[derive(Debug)]
 pub struct Written {
-    /// The scene, as written.
+    /// Scene, as written.
     pub scene: PathBuf,
     /// Frames; `None`: all.
     pub frames: Option<Frames>,
     /// All other settings of the image.
     pub changes: Vec<Change>,
-    /// What changes no pixel.
+    /// Settings that change no pixel.
     pub rest: Rest,
-    /// Flags that a sweep has no place for.
+    /// Flags that a sweep cannot express.
     pub left_out: Vec<&'static str>,
 }
 
@@ -34,12 +34,12 @@ pub struct Rest {
     pub stats: Option<Stats>,
 }
 
-/// Which word of a command line is at fault.
+/// The faulty part of a command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Word {
     /// The program.
     Command,
-    /// Some argument.
+    /// An argument.
     Arguments,
 }
 
@@ -59,7 +59,7 @@ enum Command {
 }
 
 impl Written {
-    /// Of a program and its arguments; else which of them is at fault, and why.
+    /// Parses a program and its arguments. The error says which of them is faulty, and why.
     pub fn read(line: &[String]) -> Result<Self, (Word, String)> {
         let program = line.first().map(String::as_str).unwrap_or_default();
         let name = Path::new(program).file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Files beside a frame's picture: its light statistics, its layers.
+//! Files beside a frame's picture: light statistics and layers.
 
 use crate::command::client::Farm;
 use crate::exit::{Failure, failed};
@@ -6,17 +6,17 @@ use femc_model::FrameRecord;
 use femc_pipeline::Settings;
 use std::path::{Path, PathBuf};
 
-/// The file of a frame's light statistics.
+/// Returns the path of a frame's light statistics.
 pub fn statistics_of(path: &Path) -> PathBuf {
     path.with_extension("paths")
 }
 
-/// The file of a frame's layers.
+/// Returns the path of a frame's layers.
 pub fn layers_of(path: &Path) -> PathBuf {
     path.with_extension("layers.exr")
 }
 
-/// Which of these files the frames have.
+/// Kinds of files that the frames have beside their pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Beside {
     statistics: bool,
@@ -24,24 +24,24 @@ pub struct Beside {
 }
 
 impl Beside {
-    /// Of frames with these settings.
+    /// Returns the kinds for frames with these settings.
     pub fn of(settings: &Settings) -> Self {
         Self { statistics: settings.statistics, layers: settings.has_layers() }
     }
 
-    /// The files beside a picture.
+    /// Returns the paths of the files beside a picture.
     pub fn files(self, path: &Path) -> impl Iterator<Item = PathBuf> {
         let statistics = self.statistics.then(|| statistics_of(path));
         statistics.into_iter().chain(self.layers.then(|| layers_of(path)))
     }
 
-    /// Whether they are there.
+    /// Returns whether all of these files exist.
     pub fn are_there(self, path: &Path) -> bool {
         self.files(path).all(|file| file.is_file())
     }
 }
 
-/// What lies beside the pictures of one frame.
+/// Contents of the files beside the picture of one frame.
 #[derive(Debug, Default)]
 pub struct Found {
     statistics: Option<Vec<u8>>,
@@ -49,7 +49,7 @@ pub struct Found {
 }
 
 impl Found {
-    /// From a farm; `None`: some of it is damaged or gone.
+    /// Fetches the files from a farm; `None`: one of them is damaged or gone.
     pub async fn fetch(farm: &Farm, record: &FrameRecord) -> Result<Option<Self>, Failure> {
         let mut found = Self::default();
         let wanted = [(record.statistics(), &mut found.statistics), (record.layers(), &mut found.layers)];
@@ -64,7 +64,7 @@ impl Found {
         Ok(Some(found))
     }
 
-    /// Writes it beside a picture, which comes after it: where the picture is, they are.
+    /// Writes the files beside a picture. They must be written before the picture, so that a picture always has them.
     pub fn write(&self, path: &Path) -> Result<(), Failure> {
         let files = [(&self.statistics, statistics_of(path)), (&self.layers, layers_of(path))];
         for (bytes, file) in files {

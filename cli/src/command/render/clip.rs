@@ -1,5 +1,5 @@
-//! What is made of finished frames: previews, a contact sheet, a clip. All read the EXR files, and all frames of a run
-//! are shown with one exposure, so that a clip does not flicker.
+//! Outputs made of finished frames: previews, a contact sheet, a clip. All are made from the EXR files. All frames of a run have
+//! one exposure, so that a clip does not flicker.
 
 use super::layers;
 use super::report::Report;
@@ -14,7 +14,7 @@ use femc_film::{Image, Levels, Picture, contact_sheet, exr, file::write_atomic};
 use femc_worker::clip;
 use std::path::{Path, PathBuf};
 
-/// Make it, and enter it in the report.
+/// Writes the outputs, and adds them to the report.
 pub fn write(
     asked: &Asked,
     report: &mut Report,
@@ -61,7 +61,7 @@ fn image(path: &str) -> Result<Image, Failure> {
     exr::read(Path::new(path)).map(|file| file.image).map_err(failed)
 }
 
-/// The luminances of all frames: one exposure for all of them, by the rule of a farm's clips.
+/// Returns the luminance levels of all frames together, for one exposure of all frames. The farm's clips use the same rule.
 fn levels(files: &[String]) -> Result<Levels, Failure> {
     let mut levels = Levels::default();
     for path in files {
@@ -70,7 +70,7 @@ fn levels(files: &[String]) -> Result<Levels, Failure> {
     Ok(levels)
 }
 
-/// The clip's file, in a folder that is there; another one than was asked for where there is no ffmpeg.
+/// Creates the folder of the clip and returns the clip's path: the requested one, or an animated PNG if ffmpeg is missing.
 fn format(path: &Path, say: Say) -> Result<PathBuf, Failure> {
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder).map_err(|e| failed(format!("{}: {e}", folder.display())))?;

@@ -1,4 +1,4 @@
-//! Driving the embedded farm: submit or go on, write frames as they finish, stop when told to.
+//! Control of the embedded farm: submit or resume a job, write frames as they finish, stop on request.
 
 use super::beside::Found;
 use super::report::FrameReport;
@@ -21,11 +21,11 @@ use femc_worker::Parcel;
 use std::collections::{BTreeMap, btree_map::Entry};
 use std::time::Duration;
 
-/// Between two looks: at first short, for small scenes.
+/// Shortest interval between two status calls, used first, for small scenes.
 const FIRST_LOOK: Duration = Duration::from_millis(10);
 const LAST_LOOK: Duration = Duration::from_millis(200);
 
-/// What is rendered, and where it goes.
+/// A request to render frames into files.
 pub struct Order<'a> {
     /// The request.
     pub asked: &'a Asked,
@@ -33,27 +33,27 @@ pub struct Order<'a> {
     pub target: &'a Target,
     /// Exposure of pictures.
     pub exposure: Exposure,
-    /// All frames asked for.
+    /// All requested frames.
     pub frames: &'a [u32],
-    /// Those that are not there yet.
+    /// Requested frames whose files do not exist yet.
     pub missing: Vec<u32>,
-    /// Whether a browser is to show it.
+    /// Whether the run is shown in a browser.
     pub watch: bool,
     /// The scene's files.
     pub scene: Parcel,
-    /// Whether it is asked at the end what the tasks took.
+    /// Whether the usage of the tasks is read at the end.
     pub wants_record: bool,
 }
 
-/// What a run has made.
+/// Result of a run.
 pub struct Made {
-    /// Its frames.
+    /// Rendered frames.
     pub frames: Vec<FrameReport>,
-    /// What their tasks took, those of runs before this one that it went on from too, if asked for.
+    /// Usage of the tasks, if requested. It includes the earlier runs that this run resumed.
     pub record: Option<JobRecord>,
 }
 
-/// Render the missing frames.
+/// Renders the missing frames.
 pub fn run(order: &Order<'_>, state: &State, say: Say) -> Result<Made, Failure> {
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
@@ -94,7 +94,7 @@ async fn frames(
         if status.frames_done > seen {
             let records = farm.frames(job).await?;
             seen = records.len() as u32;
-            // The job of a run before this one also has frames whose files are there.
+            // The job of an earlier run also contains frames whose files exist already.
             for record in records.iter().filter(|record| order.missing.contains(&record.frame)) {
                 if let Entry::Vacant(place) = written.entry(record.frame) {
                     match write(order, farm, record).await? {
@@ -106,7 +106,7 @@ async fn frames(
         }
         progress.show(&show::snapshot(&status, Some(order.asked.settings.stop)));
         if lost {
-            // It is rendered again, and counts when it is.
+            // The frame is rendered again and counts afterwards.
             seen = 0;
         }
         if status.state.has_ended() && !lost {
@@ -137,7 +137,7 @@ async fn frames(
     }
 }
 
-/// The job that a run before this one left, if it is of these frames, else a new one.
+/// Returns the job that an earlier run left, if it fits these frames, else a new one.
 async fn job(order: &Order<'_>, farm: &Farm, state: &State) -> Result<JobId, Failure> {
     let frames = state.frames().filter(|frames| order.fit(frames)).unwrap_or_else(|| order.missing.clone());
     state.keep_frames(&frames)?;
@@ -155,14 +155,14 @@ async fn job(order: &Order<'_>, farm: &Farm, state: &State) -> Result<JobId, Fai
 }
 
 impl Order<'_> {
-    /// Whether a job of `frames` renders all that is missing, and nothing that was not asked for.
+    /// Returns whether a job of `frames` renders all missing frames, and only requested frames.
     fn fit(&self, frames: &[u32]) -> bool {
         let asked_for = frames.iter().all(|frame| self.frames.contains(frame));
         asked_for && self.missing.iter().all(|frame| frames.contains(frame))
     }
 }
 
-/// Write a finished frame; `None`: its image, or what lies beside it, is damaged or gone.
+/// Writes a finished frame; `None`: its image or a file beside it is damaged or gone.
 async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<Option<FrameReport>, Failure> {
     let path = order.target.path(record.frame);
     let Some(bytes) = farm.image(record).await? else { return Ok(None) };

@@ -1,4 +1,4 @@
-//! Layers as PNG files, beside the file of layers: `FRAME.NAME.png`.
+//! PNG files of layers, beside the file of layers: `FRAME.NAME.png`.
 
 use super::beside::layers_of;
 use crate::exit::{Failure, failed};
@@ -7,8 +7,8 @@ use femc_film::{Image, ToneCurve, exr, file::write_atomic};
 use femc_pipeline::Layer;
 use std::path::{Path, PathBuf};
 
-/// Shows each layer of a frame under the picture's exposure.
-/// - `curve`: that of the picture; `None`: by `exposure`, of the colors in the file.
+/// Writes each layer of a frame as a PNG with the picture's exposure.
+/// - `curve`: the picture's tone curve; `None`: the curve of `exposure` for the colors in the file.
 pub fn show(
     frame: &Path,
     layers: &[Layer],

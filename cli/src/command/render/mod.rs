@@ -1,4 +1,4 @@
-//! `femc render SCENE`: the same coordinator and workers as a farm's, inside this process.
+//! `femc render SCENE`: runs the farm's coordinator and workers inside this process.
 
 mod beside;
 mod clip;
@@ -32,7 +32,7 @@ use std::path::PathBuf;
 use target::Target;
 use there::Wanted;
 
-/// Render a scene on this machine; a run that was stopped goes on where it was
+/// Render frames on this machine; rerun the command to resume after a stop
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
@@ -49,24 +49,25 @@ pub struct RenderArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
-    /// A name ending in .exr or .png: one frame; else a folder for `<scene>.0001.exr` ... [default: by the scene's name]
+    /// A name ending in .exr or .png: one frame; else a folder for `<scene>.0001.exr` ... [default: the scene's name]
     #[arg(long, short, value_name = "OUT")]
     pub out: Option<PathBuf>,
     /// Exposure of PNG files and clips: auto (the log-average luminance is middle gray), or an exposure value at ISO 100
     /// (2^EV / 8 cd/m2 is middle gray; one more is half as bright) [default: auto]
     #[arg(long, value_name = "auto|EV", allow_hyphen_values = true)]
     pub exposure: Option<Exposure>,
-    /// Write what the tasks took, too: a page if FILE ends in .html (`femc report`), a row an attempt if in .csv, .json or .parquet
+    /// Also write the usage of the tasks: a page if FILE ends in .html (`femc report`), one row per attempt if in .csv, .json or
+    /// .parquet
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
-    /// Render the frame in FILE, EXR or PNG, once more: with its settings and, if it had a time, the same samples for each tile
+    /// Render the frame in FILE, EXR or PNG, again: with its settings and, if it had a time budget, the same samples for each tile
     #[arg(long, value_name = "FILE", conflicts_with_all = ["camera", "size", "frames", "spp", "error", "time", "method",
         "max_depth", "filter", "seed", "set", "stats"])]
     pub replay: Option<PathBuf>,
-    /// Begin anew, whatever is there
+    /// Start from scratch and ignore existing frames and state
     #[arg(long)]
     pub fresh: bool,
-    /// Say where a browser shows the run while it lasts, and open it there where this machine has a desktop
+    /// Print an address that shows the run in a browser, and open it if this machine has a desktop
     #[arg(long)]
     pub watch: bool,
     #[command(flatten)]
@@ -79,7 +80,7 @@ pub struct RenderArgs {
     pub settings: SettingsArgs,
 }
 
-/// Render.
+/// Runs `femc render`.
 pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
     let style = args.painting.style()?;
@@ -170,7 +171,7 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// Pictures are made of EXR files, and only they have an exposure.
+/// Checks that no output needs EXR files if the frame is a PNG, and that an exposure is only given for pictures.
 fn check_pictures(
     target: &Target,
     extras: &ExtrasArgs,
@@ -193,7 +194,7 @@ fn check_pictures(
     Ok(())
 }
 
-/// Render what is missing, from the state beside the output if there is one of this scene and these settings.
+/// Renders the missing frames. Resumes from the state beside the output if its scene and settings are the same.
 fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Made, Failure> {
     let Order { asked, target, frames, missing, scene, .. } = order;
     let identity = Identity {

@@ -1,4 +1,4 @@
-//! Frames in a painted style, beside them: `FRAME.painted.png`.
+//! Painted versions of frames, beside them: `FRAME.painted.png`.
 
 use super::layers_of;
 use crate::args::SettingsArgs;
@@ -11,26 +11,26 @@ use femc_stylize::{Settings, styles};
 use femc_worker::Painting;
 use std::path::{Path, PathBuf};
 
-/// How frames are painted; `femc stylize` has more to say, and paints frames that are there.
+/// Style in which frames are painted. `femc stylize` has more options, and paints existing frames.
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = "Painting")]
 pub struct PaintingArgs {
-    /// Paint each frame, too, as FRAME.painted.png: hatching, watercolor, oil, cel, or a painting of --style-source (`femc stylize`)
+    /// Also paint each frame as FRAME.painted.png: hatching, watercolor, oil, cel, or a painting of --style-source (`femc stylize`)
     #[arg(long, value_name = "STYLE")]
     pub style: Option<PathBuf>,
-    /// The render that the painting lies over [default: that of the styles that come with femc]
+    /// Render under the painting [default: that of the styles that come with femc]
     #[arg(long, value_name = "A.exr", requires = "style")]
     pub style_source: Option<PathBuf>,
-    /// How much the painting of a clip may change where the frames do not, from 0 (nothing) to 1 (each frame is painted anew)
-    /// [default: 0.2]
+    /// Amount by which the painting of a clip may change where the frames do not, from 0 (none) to 1 (each frame is painted
+    /// independently) [default: 0.2]
     #[arg(long, value_name = "PART", requires = "style")]
     pub boil: Option<f32>,
 }
 
-/// Guides, and what says how one frame goes over into the next.
+/// Layers that painting reads: the guides, and the motion and depth that connect a frame to the next.
 const LAYERS: [&str; 3] = ["guides", "motion", "depth"];
 
-/// Asks for the layers that painting reads, where they are not asked for.
+/// Adds the layers that painting reads, if they are not requested yet.
 pub fn ask_for_layers(settings: &mut SettingsArgs) {
     let missing = LAYERS.into_iter().filter(|name| !settings.layers.iter().any(|asked| asked.trim() == *name));
     let missing: Vec<String> = missing.map(str::to_owned).collect();
@@ -38,7 +38,7 @@ pub fn ask_for_layers(settings: &mut SettingsArgs) {
 }
 
 impl PaintingArgs {
-    /// The style, read before anything is rendered.
+    /// Reads the style, before anything is rendered.
     pub fn style(&self) -> Result<Option<Style>, Failure> {
         if let Some(boil) = self.boil.filter(|boil| !(0.0..=1.0).contains(boil)) {
             return Err(usage(format!("--boil {boil}: give a number from 0 to 1")));
@@ -46,7 +46,7 @@ impl PaintingArgs {
         self.style.as_deref().map(|style| Style::read(style, self.style_source.as_deref())).transpose()
     }
 
-    /// What a farm is to paint: in one of the styles that come with femc, which its workers have.
+    /// Returns the painting for a farm. Its style must be one that comes with femc, because workers have no others.
     pub fn wish(&self) -> Result<Option<Painting>, Failure> {
         let Some(style) = &self.style else { return Ok(None) };
         let boil = self.boil.unwrap_or(Settings::default().boil);
@@ -62,9 +62,9 @@ impl PaintingArgs {
         )))
     }
 
-    /// Paints the frames, in their order.
-    /// - `threads`: number of threads, 0: as many as the machine has;
-    /// - `part`: file that is kept while it lasts.
+    /// Paints the frames in order.
+    /// - `threads`: number of threads, 0: one per processor;
+    /// - `part`: checkpoint file, which exists while painting runs.
     pub fn paint(
         &self,
         style: &Style,

@@ -1,43 +1,43 @@
-//! What a render says at its end.
+//! Report of a render.
 
 use crate::output::{Say, error, human};
 use femc_model::Blocks;
 use serde::Serialize;
 use std::fmt;
 
-/// The summary: `--json` prints it whole.
+/// Summary of a render, printed whole by `--json`.
 #[derive(Debug, Default, Serialize)]
 pub struct Report {
     /// Scene file.
     pub scene: String,
-    /// OUT.
+    /// Output, as given with `--out`.
     pub out: String,
     /// The frames' files, in order of frames.
     pub files: Vec<String>,
     /// The frames.
     pub frames: Vec<FrameReport>,
-    /// Frames that this run finished; the others were there.
+    /// Frames that this run finished; the others existed before.
     pub rendered: usize,
     /// Film size, pixels.
     pub size: [u32; 2],
     /// Wall-clock time of this run, s.
     pub seconds: f64,
-    /// Mean samples a pixel over all frames.
+    /// Mean samples per pixel over all frames.
     pub spp: f64,
-    /// Worst relative error of a frame, where it is known; none where no sample met light.
+    /// Worst relative error of a frame, if known; none if no sample met light.
     pub relative_error: Option<f64>,
-    /// Blocks of 16x16 pixels in all frames, where they are known, and those in which no sample met light.
+    /// Number of 16x16 blocks in all frames, if known. `unlit_blocks` counts those in which no sample met light.
     pub blocks: Option<u32>,
     pub unlit_blocks: Option<u32>,
     /// Camera samples in all frames.
     pub samples: u64,
-    /// Samples left out because they were not finite, negative or beyond all range.
+    /// Samples left out because they were not finite, negative or out of range.
     pub bad_samples: u64,
-    /// Where they were.
+    /// Bad samples by frame.
     pub bad: Vec<BadReport>,
-    /// Exposure value of the pictures, where some were made.
+    /// Exposure value of the pictures, if some were made.
     pub exposure_ev: Option<f64>,
-    /// Files of the frames' layers, where they have some.
+    /// Files of the frames' layers, if they have some.
     pub layers: Vec<String>,
     /// Painted pictures of the frames.
     pub painted: Vec<String>,
@@ -54,20 +54,20 @@ pub struct Report {
 /// A frame.
 #[derive(Clone, Debug, Serialize)]
 pub struct FrameReport {
-    /// Its number.
+    /// Frame number.
     pub frame: u32,
-    /// Its file.
+    /// File of the frame.
     pub file: String,
-    /// Samples a pixel.
+    /// Samples per pixel.
     pub spp: u32,
-    /// Worst relative error of a block at 95 % confidence, where it is known; none where no sample met light.
+    /// Worst relative error of a block at 95 % confidence, if known; none if no sample met light.
     pub relative_error: Option<f64>,
-    /// Blocks of 16x16 pixels, where they are known, and those in which no sample met light.
+    /// Number of 16x16 blocks, if known. `unlit_blocks` counts those in which no sample met light.
     pub blocks: Option<u32>,
     pub unlit_blocks: Option<u32>,
-    /// Seconds that workers spent on it, summed.
+    /// Total seconds that workers spent on the frame.
     pub seconds: f64,
-    /// Samples left out.
+    /// Number of samples left out.
     pub bad_samples: u64,
 }
 
@@ -76,15 +76,15 @@ pub struct FrameReport {
 pub struct BadReport {
     /// The frame.
     pub frame: u32,
-    /// With a NaN.
+    /// Samples with a NaN.
     pub nan: u64,
-    /// With an infinity.
+    /// Samples with an infinity.
     pub infinite: u64,
-    /// With a negative component.
+    /// Samples with a negative component.
     pub negative: u64,
-    /// Beyond the largest radiance that is taken.
+    /// Samples above the largest accepted radiance.
     pub out_of_range: u64,
-    /// The first of them by row, column and sample.
+    /// First bad sample by row, column and sample.
     pub first: Option<First>,
 }
 
@@ -95,12 +95,12 @@ pub struct First {
     pub x: u32,
     /// Row.
     pub y: u32,
-    /// Number in the pixel.
+    /// Number of the sample in its pixel.
     pub sample: u32,
 }
 
 impl BadReport {
-    /// All kinds.
+    /// Returns the number of bad samples of all kinds.
     pub fn total(&self) -> u64 {
         self.nan + self.infinite + self.negative + self.out_of_range
     }
@@ -121,7 +121,7 @@ impl fmt::Display for BadReport {
 }
 
 impl Report {
-    /// Sum the frames up.
+    /// Adds the frames and their sums to the report.
     pub fn sum(&mut self, frames: Vec<FrameReport>) {
         let pixels = u64::from(self.size[0]) * u64::from(self.size[1]);
         self.files = frames.iter().map(|frame| frame.file.clone()).collect();
@@ -135,7 +135,7 @@ impl Report {
         self.frames = frames;
     }
 
-    /// Warnings on stderr, of what must not pass unseen.
+    /// Prints warnings on stderr about important problems.
     pub fn warn(&self, say: Say) {
         if let [first, others @ ..] = self.dark().as_slice() {
             let frames = match others.len() {
@@ -159,13 +159,13 @@ impl Report {
         }
     }
 
-    /// Frames none of whose samples met light.
+    /// Returns the frames in which no sample met light.
     fn dark(&self) -> Vec<u32> {
         let is_dark = |frame: &&FrameReport| blocks(frame.blocks, frame.unlit_blocks).is_some_and(Blocks::is_dark);
         self.frames.iter().filter(is_dark).map(|frame| frame.frame).collect()
     }
 
-    /// For people, on stdout.
+    /// Prints the report on stdout for people.
     pub fn print(&self, say: Say) {
         let [width, height] = self.size;
         let what = match self.frames.as_slice() {
@@ -191,12 +191,12 @@ impl Report {
     }
 }
 
-/// Counts of blocks, where both are known.
+/// Combines two block counts, if both are known.
 fn blocks(all: Option<u32>, unlit: Option<u32>) -> Option<Blocks> {
     Some(Blocks { all: all?, unlit: unlit? })
 }
 
-/// A number without decimals that say nothing.
+/// Formats a number without meaningless decimals.
 fn trimmed(n: f64) -> String {
     if n.fract() == 0.0 { format!("{n:.0}") } else { format!("{n:.1}") }
 }

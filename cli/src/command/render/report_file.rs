@@ -1,11 +1,11 @@
-//! What a run's tasks took, as a file.
+//! File with the usage of a run's tasks.
 
 use crate::exit::{Failure, failed, usage};
 use femc_reports::attempts::{By, JobRecord, Json, columns, csv, rows, write_parquet};
 use femc_reports::pages;
 use std::path::{Path, PathBuf};
 
-/// A file to write it to.
+/// A file for the usage, and its format.
 #[derive(Debug)]
 pub struct ReportFile {
     path: PathBuf,
@@ -21,7 +21,7 @@ enum Form {
 }
 
 impl ReportFile {
-    /// The form by the name's ending.
+    /// Chooses the format by the extension of the file name.
     pub fn to(path: &Path) -> Result<Self, Failure> {
         let form = match path.extension().and_then(|extension| extension.to_str()) {
             Some("html") => Form::Page,
@@ -33,7 +33,7 @@ impl ReportFile {
         Ok(Self { path: path.to_owned(), form })
     }
 
-    /// Write it; the file's name.
+    /// Writes the usage. Returns the file's name.
     pub fn write(&self, record: JobRecord) -> Result<String, Failure> {
         let records = vec![record];
         let (columns, rows) = (columns(By::Attempt), rows(&records, By::Attempt));

@@ -1,4 +1,4 @@
-//! What is kept beside the output until it is finished: the farm's log and artifacts, what they are for, and a lock.
+//! State beside the output until the output is finished: the farm's log and artifacts, the identity of the run, and a lock.
 
 use crate::exit::{Failure, failed};
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use std::fs::{self, File, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Two runs with equal identities render the same bytes, so that one may go on from the other's state.
+/// Identity of a run. Two runs with equal identities render the same bytes, so one may resume from the state of the other.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
     /// Build of the engine.
@@ -17,27 +17,27 @@ pub struct Identity {
     pub settings: serde_json::Value,
 }
 
-/// What to do with a state that is there.
+/// Treatment of an existing state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Old {
-    /// Go on from it, if its identity is the same.
+    /// Resume from it, if its identity is the same.
     Keep,
     /// Remove it.
     Discard,
 }
 
-/// How a state was found.
+/// Result of the search for a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Found {
-    /// There was none.
+    /// No state exists.
     Nothing,
-    /// One of the same identity: go on from it.
+    /// A state with the same identity exists: resume from it.
     Same,
-    /// One of another identity; it has been removed.
+    /// A state with another identity existed and was removed.
     Other,
 }
 
-/// The folder of the state, locked against a second process while this value lives.
+/// The folder of the state. It is locked against other processes until this value is dropped.
 #[derive(Debug)]
 pub struct State {
     folder: PathBuf,
@@ -45,7 +45,7 @@ pub struct State {
 }
 
 impl State {
-    /// Open the state in `folder`, made if it is not there; a state of another identity is removed.
+    /// Opens the state in `folder`, which is created if missing. A state with another identity is removed.
     pub fn open(folder: &Path, identity: &Identity, old: Old) -> Result<(Self, Found), Failure> {
         let at = |what: &str, e: &dyn std::fmt::Display| failed(format!("{}: {what}: {e}", folder.display()));
         fs::create_dir_all(folder).map_err(|e| at("cannot be made", &e))?;
@@ -78,33 +78,33 @@ impl State {
         Ok((state, found))
     }
 
-    /// The log of the embedded farm.
+    /// Returns the path of the embedded farm's log.
     pub fn log(&self) -> PathBuf {
         self.folder.join("farm.db")
     }
 
-    /// The artifacts of the embedded farm.
+    /// Returns the folder of the embedded farm's artifacts.
     pub fn artifacts(&self) -> PathBuf {
         self.folder.join("artifacts")
     }
 
-    /// The frames of the job in the log; `None` before there is one.
+    /// Returns the frames of the job in the log; `None` if no job was submitted yet.
     pub fn frames(&self) -> Option<Vec<u32>> {
         serde_json::from_slice(&fs::read(self.folder.join("frames.json")).ok()?).ok()
     }
 
-    /// Remember the frames of the job, before it is submitted.
+    /// Stores the frames of the job, before it is submitted.
     pub fn keep_frames(&self, frames: &[u32]) -> Result<(), Failure> {
         let text = serde_json::to_vec(frames).map_err(failed)?;
         femc_film::file::write_atomic(&self.folder.join("frames.json"), &text).map_err(failed)
     }
 
-    /// The work is done: leave nothing behind.
+    /// Removes the state after the work is done.
     pub fn remove(self) -> std::io::Result<()> {
         fs::remove_dir_all(&self.folder)
     }
 
-    /// Remove all but the lock.
+    /// Removes everything but the lock.
     fn clear(&self) -> std::io::Result<()> {
         for entry in fs::read_dir(&self.folder)? {
             let entry = entry?;

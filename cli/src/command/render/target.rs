@@ -1,26 +1,26 @@
-//! Where frames go: OUT ending in `.exr` or `.png` is one image, anything else a folder of numbered ones.
+//! Destination of frames: OUT ending in `.exr` or `.png` is one image, anything else is a folder of numbered images.
 
 use crate::exit::{Failure, usage};
 use crate::output::Say;
 use crate::request::{Asked, FramesChosen, picture};
 use std::path::{Path, PathBuf};
 
-/// Where frames go.
+/// Destination of frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// One frame, one file.
+    /// One file for one frame.
     Image(PathBuf),
     /// Frames `<stem>.0001.exr` ... in a folder.
     Folder {
         /// The folder.
         folder: PathBuf,
-        /// The scene's name.
+        /// Name of the scene.
         stem: String,
     },
 }
 
 impl Target {
-    /// What `out` means for a scene called `stem` of `frames` frames.
+    /// Interprets `out` for a scene named `stem` with `frames` frames.
     pub fn of(out: Option<&Path>, stem: &str, frames: usize) -> Result<Self, Failure> {
         let Some(out) = out else {
             let (image, folder) = (PathBuf::from(format!("{stem}.exr")), PathBuf::from(stem));
@@ -46,7 +46,7 @@ impl Target {
         }
     }
 
-    /// The frames that go there: of a clip whose frames nobody chose, an image takes the first.
+    /// Returns the frames to write. A single image takes the first frame of a clip if no frames were chosen.
     pub fn frames(&self, asked: &Asked, say: Say) -> Result<Vec<u32>, Failure> {
         let frames = &asked.plan.frames;
         match (self, frames.as_slice(), asked.frames_chosen) {
@@ -67,7 +67,7 @@ impl Target {
         }
     }
 
-    /// The file of a frame.
+    /// Returns the file of a frame.
     pub fn path(&self, frame: u32) -> PathBuf {
         match self {
             Self::Image(path) => path.clone(),
@@ -75,7 +75,7 @@ impl Target {
         }
     }
 
-    /// The file of what is needed to go on with painting after a stop.
+    /// Returns the checkpoint file of the painting, needed to resume after a stop.
     pub fn part(&self) -> PathBuf {
         match self {
             Self::Image(path) => path.with_extension("painted.part"),
@@ -83,7 +83,7 @@ impl Target {
         }
     }
 
-    /// The folder of what is needed to go on after a stop.
+    /// Returns the folder of the state, needed to resume after a stop.
     pub fn state(&self) -> PathBuf {
         match self {
             Self::Image(path) => {
@@ -95,12 +95,12 @@ impl Target {
         }
     }
 
-    /// Whether the frame is written as a picture.
+    /// Returns whether the frame is written as a picture.
     pub fn is_picture(&self) -> bool {
         matches!(self, Self::Image(path) if picture::is_picture(path))
     }
 
-    /// What the user calls it.
+    /// Returns the destination as the user wrote it.
     pub fn display(&self) -> String {
         match self {
             Self::Image(path) => path.display().to_string(),
@@ -109,17 +109,17 @@ impl Target {
     }
 }
 
-/// `<stem>.0007.exr`.
+/// Returns `<stem>.0007.exr`.
 pub fn frame_name(stem: &str, frame: u32) -> String {
     format!("{stem}.{frame:04}.exr")
 }
 
-/// `<stem>.0007.painted.png`, which lies beside it.
+/// Returns `<stem>.0007.painted.png`, the painted picture beside a frame.
 pub fn painted_name(stem: &str, frame: u32) -> String {
     format!("{stem}.{frame:04}.painted.png")
 }
 
-/// `<stem>.0007.png`, which lies beside it.
+/// Returns `<stem>.0007.png`, the still beside a frame.
 pub fn still_name(stem: &str, frame: u32) -> String {
     format!("{stem}.{frame:04}.png")
 }

@@ -1,4 +1,4 @@
-//! Frames that a run before this one finished: known by what their files say of themselves.
+//! Existing frames of an earlier run, recognized by the metadata of their files.
 
 use super::beside::Beside;
 use super::report::{BadReport, First, FrameReport};
@@ -9,21 +9,21 @@ use crate::values::Exposure;
 use femc_film::convergence::BLOCK;
 use std::path::Path;
 
-/// What the file of a finished frame says.
+/// Metadata that the file of a finished frame must have.
 #[derive(Debug)]
 pub struct Wanted {
     settings: serde_json::Value,
-    /// Of a frame that is rendered once more: the division of its samples.
+    /// Sample allocation of a replayed frame.
     allocation: Option<serde_json::Value>,
     scene: String,
     exposure: Exposure,
     beside: Beside,
-    /// Blocks of pixels of a frame.
+    /// Number of blocks per frame.
     blocks: u32,
 }
 
 impl Wanted {
-    /// Of what was asked for; pictures have this exposure.
+    /// Creates the expected metadata for a request; `exposure`: exposure of pictures.
     pub fn new(asked: &Asked, exposure: Exposure) -> Result<Self, Failure> {
         let settings = serde_json::to_value(asked.settings.stated()).map_err(failed)?;
         let allocation = asked.settings.allocation.as_ref().map(serde_json::to_value).transpose().map_err(failed)?;
@@ -32,7 +32,7 @@ impl Wanted {
         Ok(Self { settings, allocation, scene, exposure, beside, blocks })
     }
 
-    /// The frame in `path`, if it is there, whole, and of this build of the engine, scene and settings.
+    /// Returns the frame in `path`, if the file is whole and matches this build of the engine, the scene and the settings.
     pub fn there(&self, frame: u32, path: &Path) -> Option<FrameReport> {
         let attributes = picture::attributes(path)?;
         let says = |name: &str| attributes.get(&format!("femc:{name}")).map(String::as_str);
@@ -54,7 +54,7 @@ impl Wanted {
         Some(FrameReport {
             frame,
             file: path.display().to_string(),
-            // The mean over the film, from which samples that were left out are missing.
+            // The mean over the film lacks the samples that were left out, so it is rounded up.
             spp: number("spp")?.ceil() as u32,
             relative_error: number("relative_error").filter(|error| error.is_finite() && !is_dark),
             blocks: Some(self.blocks),
@@ -65,7 +65,7 @@ impl Wanted {
     }
 }
 
-/// The accounts of all frames that have bad samples, from their files.
+/// Reads the bad samples of all frames that have some from their files.
 pub fn bad_samples(frames: &[FrameReport]) -> Vec<BadReport> {
     let account_of = |frame: &FrameReport| {
         let attributes = picture::attributes(Path::new(&frame.file))?;
@@ -74,7 +74,7 @@ pub fn bad_samples(frames: &[FrameReport]) -> Vec<BadReport> {
     frames.iter().filter(|frame| frame.bad_samples > 0).filter_map(account_of).collect()
 }
 
-/// Reads `nan=2 infinite=0 negative=0 out-of-range=0 first=3,4,9`.
+/// Parses `nan=2 infinite=0 negative=0 out-of-range=0 first=3,4,9`.
 fn account(frame: u32, text: &str) -> Option<BadReport> {
     let field = |name: &str| text.split(' ').find_map(|word| word.strip_prefix(name)?.strip_prefix('='));
     let count = |name| field(name)?.parse().ok();

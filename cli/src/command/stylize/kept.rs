@@ -1,4 +1,5 @@
-//! What is kept of a run while it lasts, so that one that was cut off goes on: `OUT.part`, a line of JSON, then numbers of source patches.
+//! Checkpoint of a run, so that an interrupted run can resume: `OUT.part`, a line of JSON followed by the numbers of source
+//! patches.
 
 use super::row::Row;
 use crate::exit::{Failure, failed};
@@ -7,30 +8,30 @@ use femc_stylize::Begun;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// How far a run is.
+/// Progress of a run.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Kept {
-    /// Digest of all that decides the bytes of the frame in work: style, settings, the frames up to it.
+    /// Digest of everything that determines the bytes of the current frame: style, settings, the frames up to it.
     pub key: String,
-    /// The frame in work, by its place; those before it are painted.
+    /// Index of the current frame; those before it are painted.
     pub frame: usize,
-    /// What is known of those before.
+    /// Report rows of the painted frames.
     pub rows: Vec<Row>,
-    /// Source patches of the frame before, if there is one.
+    /// Source patches of the previous frame, if there is one.
     #[serde(skip)]
     pub last: Vec<u32>,
-    /// What is done of the frame in work, if a level is.
+    /// State of the current frame, if a level is finished.
     #[serde(skip)]
     pub begun: Option<Begun>,
-    /// Numbers of `last`, levels that `begun` has left.
+    /// Length of `last`, and number of levels that `begun` has left.
     counts: (usize, Option<usize>),
-    /// Digest of the numbers.
+    /// Digest of the patch numbers.
     #[serde(default)]
     digest: String,
 }
 
 impl Kept {
-    /// Of a run.
+    /// Creates the checkpoint of a run.
     pub fn new(key: String, frame: usize, rows: Vec<Row>, last: Vec<u32>, begun: Option<Begun>) -> Self {
         let counts = (last.len(), begun.as_ref().map(|begun| begun.left));
         let mut kept = Self { key, frame, rows, last, begun, counts, digest: String::new() };
@@ -38,14 +39,14 @@ impl Kept {
         kept
     }
 
-    /// The file beside a picture or a folder.
+    /// Returns the checkpoint's path beside a picture or a folder.
     pub fn path(out: &Path) -> PathBuf {
         let mut name = out.components().as_path().as_os_str().to_owned();
         name.push(".part");
         name.into()
     }
 
-    /// What is there; `None`: nothing that can be read.
+    /// Reads the checkpoint; `None`: it is missing or unreadable.
     pub fn read(path: &Path) -> Option<Self> {
         let bytes = std::fs::read(path).ok()?;
         let end = bytes.iter().position(|&byte| byte == b'\n')?;
@@ -61,7 +62,7 @@ impl Kept {
         Some(kept)
     }
 
-    /// Writes it, whole or not at all.
+    /// Writes the checkpoint atomically.
     pub fn write(&self, path: &Path) -> Result<(), Failure> {
         let mut bytes = serde_json::to_vec(self).map_err(failed)?;
         bytes.push(b'\n');
@@ -69,7 +70,7 @@ impl Kept {
         write_atomic(path, &bytes).map_err(failed)
     }
 
-    /// Numbers of source patches as bytes.
+    /// Returns the numbers of source patches as bytes.
     fn numbers(&self) -> Vec<u8> {
         let begun = self.begun.iter().flat_map(|begun| &begun.patches);
         self.last.iter().chain(begun).flat_map(|number| number.to_le_bytes()).collect()

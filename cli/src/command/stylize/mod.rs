@@ -1,4 +1,4 @@
-//! `femc stylize`: targets in the style of a painted example, guided by light.
+//! `femc stylize`: paints renders in the style of a painted example, guided by light.
 
 mod kept;
 mod row;
@@ -30,40 +30,41 @@ use std::sync::{Mutex, PoisonError};
     same. Several targets are painted one after the other, as frames of a clip: with layers motion (and depth) each holds on \
     to what was painted before. The same files and settings give the same pictures with any number of threads.")]
 pub struct StylizeArgs {
-    /// The painting, of the source's size; or a style that comes with femc: hatching, watercolor, oil, cel
+    /// Painting, of the source's size; or a style that comes with femc: hatching, watercolor, oil, cel
     #[arg(long, value_name = "PAINTED.png")]
     style: PathBuf,
-    /// The render that was painted [default: that of the styles that come with femc]
+    /// Render that was painted [default: that of the styles that come with femc]
     #[arg(long, value_name = "A.exr")]
     source: Option<PathBuf>,
-    /// What to paint; * stands for any text in the name of a file
+    /// Renders to paint; * matches any text in the name of a file
     #[arg(long, value_name = "B.exr", num_args = 1.., required = true)]
     target: Vec<PathBuf>,
-    /// Where the picture goes; of several targets a folder, `FOLDER/`
+    /// Picture to write; for several targets a folder, `FOLDER/`
     #[arg(long, short, value_name = "OUT.png")]
     out: PathBuf,
-    /// Layers that guide [default: all layers of light that source and target have]
+    /// Layers used as guides [default: all layers of light that source and target have]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     guides: Vec<String>,
     /// Exposure of the targets: auto, or an exposure value (EV at ISO 100)
     #[arg(long, value_name = "EV", default_value_t = Exposure::Auto)]
     exposure: Exposure,
-    /// How patches are found
+    /// Search method for patches
     #[arg(long, value_enum, default_value_t = Method::Balanced)]
     method: Method,
-    /// Weight of all guides against the style: more follows the light, less the brush
+    /// Weight of all guides against the style: higher values follow the light more and the brush less
     #[arg(long, value_name = "WEIGHT", default_value_t = Settings::default().mu)]
     mu: f32,
-    /// How much it matters that the whole painting is used: the difference in color, levels of 255, that mean use is worth
+    /// Importance of using the whole painting: the color difference, in levels of 255, that average use is worth
     #[arg(long, value_name = "LEVELS", default_value_t = Settings::default().balance)]
     balance: f32,
-    /// How much the painting of a clip may change where the frames do not, from 0 (nothing) to 1 (each frame is painted anew)
+    /// Amount by which the painting of a clip may change where the frames do not, from 0 (none) to 1 (each frame is painted
+    /// independently)
     #[arg(long, value_name = "PART", default_value_t = Settings::default().boil)]
     boil: f32,
     /// Width of patches, pixels: odd, 3 to 15
     #[arg(long, value_name = "N", default_value_t = Settings::default().patch)]
     patch: usize,
-    /// Levels of the image pyramids [default: 6, or as many as the images allow]
+    /// Levels of the image pyramids [default: 6, or the most that the images allow]
     #[arg(long, value_name = "N")]
     levels: Option<usize>,
     /// Searches at each level, each followed by a vote
@@ -77,13 +78,13 @@ pub struct StylizeArgs {
     format: FormatArgs,
 }
 
-/// How target patches get their source patches.
+/// Assignment of source patches to target patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Method {
-    /// By likeness, and a price on source patches that are used much
+    /// By similarity, with a penalty on source patches that are used often
     Balanced,
-    /// Each target patch has the best source patch, by brute force: slow, for comparison
+    /// The best source patch for each target patch, by brute force: slow, for comparison
     Em,
 }
 
@@ -100,7 +101,7 @@ struct Report {
     frames: Vec<Row>,
 }
 
-/// Read, paint, write.
+/// Runs `femc stylize`.
 pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
     let targets = targets(&args.target)?;
     let outputs = args.outputs(&targets)?;
@@ -125,37 +126,37 @@ pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// What paints frames, and how.
+/// A request to paint frames.
 pub struct Order<'a> {
-    /// What they are to look like.
+    /// Style of the paintings.
     pub style: &'a Style,
-    /// Names of layers; empty: all that source and frames have.
+    /// Names of the guiding layers; empty: all that source and frames have.
     pub guides: &'a [String],
-    /// How the frames are shown.
+    /// Tone curve of the frames.
     pub curve: ToneCurve,
-    /// How they are painted.
+    /// Settings of the painter.
     pub settings: Settings,
     /// Threads; 0: all cores.
     pub threads: u32,
 }
 
-/// What was painted.
+/// Result of painting.
 pub struct Painted {
-    /// Names of the layers that guided.
+    /// Names of the layers used as guides.
     pub guides: Vec<String>,
-    /// Time of all.
+    /// Total time in seconds.
     pub seconds: f64,
-    /// Frame by frame.
+    /// Report rows, frame by frame.
     pub frames: Vec<Row>,
-    /// Whether the frames say how they move.
+    /// Whether the frames have motion vectors.
     pub is_moved: bool,
 }
 
 impl Order<'_> {
-    /// Paints frames in their order, each after the one before; one target at least. A run that was cut off goes on at the level that it
-    /// was in.
-    /// - `outputs`: where each picture goes;
-    /// - `part`: file that is kept while it lasts.
+    /// Paints frames in order, each after its predecessor; needs at least one target. An interrupted run resumes at the level where
+    /// it stopped.
+    /// - `outputs`: picture file of each target;
+    /// - `part`: checkpoint file, which exists while painting runs.
     pub fn paint(&self, targets: &[PathBuf], outputs: &[PathBuf], part: &Path, say: Say) -> Result<Painted, Failure> {
         let (clock, progress) = (Clock, Mutex::new(Progress::new(say, Clock)));
         let started = clock.now();
@@ -237,7 +238,7 @@ impl Order<'_> {
         })
     }
 
-    /// Digests of all that decides the bytes of each frame.
+    /// Returns a digest for each frame of everything that determines its bytes.
     fn keys(&self, names: &[&str], guides: &Planes, targets: &[PathBuf]) -> Vec<String> {
         let mut key = blake3::Hasher::new();
         let Self { curve, settings, .. } = self;
@@ -255,7 +256,7 @@ impl Order<'_> {
     }
 }
 
-/// Shows how far the painting of a frame is, and keeps what is done of it.
+/// Shows the progress of a frame's painting, and saves checkpoints.
 struct Watcher<'a> {
     step: &'a (dyn Fn(femc_stylize::Progress) + Sync),
     level: &'a (dyn Fn(Begun) + Sync),
@@ -271,7 +272,7 @@ impl Watch for Watcher<'_> {
     }
 }
 
-/// The frame before, moved to where this one sees it; `None`: how it moved is not known.
+/// Returns the previous frame, warped to the view of this one; `None`: its motion is not known.
 fn moved(painted: &Stylized, frame: &GuideFrame) -> Option<Result<Before, StylizeError>> {
     frame.motion().map(|motion| Before::new(painted, motion, frame.depth()))
 }
@@ -286,7 +287,7 @@ impl StylizeArgs {
         Settings { method, mu, balance, boil, patch, levels, iterations: self.iterations as usize }
     }
 
-    /// Where each picture goes.
+    /// Returns the picture file of each target.
     fn outputs(&self, targets: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         let is_png = self.out.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"));
         match targets {
@@ -318,7 +319,7 @@ impl StylizeArgs {
     }
 }
 
-/// The tone curve of all targets together.
+/// Returns the common tone curve of all targets.
 pub fn common_curve(exposure: Exposure, targets: &[PathBuf]) -> Result<ToneCurve, Failure> {
     let mut all = Levels::default();
     if exposure == Exposure::Auto {
@@ -330,8 +331,8 @@ pub fn common_curve(exposure: Exposure, targets: &[PathBuf]) -> Result<ToneCurve
     Ok(exposure.curve(&all))
 }
 
-/// What to change.
-/// - `path`: of the frame at fault, if one is.
+/// Converts an error into a message with advice.
+/// - `path`: the faulty frame, if any.
 fn told(error: &StylizeError, path: &Path) -> Failure {
     let path = path.display();
     match error {
@@ -365,7 +366,7 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
     }
 }
 
-/// Files to paint: those that are named, and of each pattern all that fit it, in the order of the alphabet.
+/// Returns the files to paint: named files, and for each pattern all matching files in alphabetical order.
 fn targets(asked: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     let mut all = Vec::new();
     for path in asked {

@@ -1,4 +1,4 @@
-//! A painted target in the report of `femc stylize`: its file, size, time and figures.
+//! Report row of a painted target in `femc stylize`: its file, size, time and quality figures.
 
 use femc_stylize::{Figures, Stylized};
 use serde::{Deserialize, Serialize};
@@ -7,27 +7,27 @@ use std::path::Path;
 /// A painted target.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
-    /// The picture's file.
+    /// Picture file.
     pub image: String,
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
-    /// Levels of the pyramids.
+    /// Number of pyramid levels.
     pub levels: usize,
-    /// Time that it took.
+    /// Time in seconds.
     pub seconds: f64,
-    /// Target patches; each has a source patch.
+    /// Number of target patches; each has a source patch.
     pub target_patches: usize,
-    /// What it is judged by.
+    /// Quality figures.
     #[serde(flatten)]
     pub figures: Figures,
-    /// Mean difference from the frame before along the motion, levels of 255.
+    /// Mean difference from the previous frame along the motion, levels of 255.
     pub flicker: Option<f64>,
 }
 
 impl Row {
-    /// Of a picture that was written to `out`.
+    /// Creates the row of a picture that was written to `out`.
     pub fn of(out: &Path, painted: &Stylized, flicker: Option<f64>, seconds: f64) -> Self {
         Self {
             image: out.display().to_string(),

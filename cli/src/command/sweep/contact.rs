@@ -1,4 +1,4 @@
-//! The contact sheet of a sweep: all variants under one exposure, so that brighter is brighter.
+//! Contact sheet of a sweep: all variants with one exposure, so that brightness can be compared.
 
 use super::folder::Folder;
 use super::work::{Planned, Work};
@@ -7,22 +7,22 @@ use crate::output::Say;
 use femc_film::{Image, SheetCell, SheetRow, ToneCurve, exr, labelled_sheet};
 use std::path::PathBuf;
 
-/// Width of a picture, pixels.
+/// Width of a picture in pixels.
 const THUMBNAIL: u32 = 240;
-/// Most pictures of a row.
+/// Largest number of pictures per row.
 const COLUMNS: usize = 10;
-/// Most rows: what a person looks at, and a sheet that viewers open.
+/// Largest number of rows that viewers can open and people look at.
 const ROWS: usize = 200;
-/// Pictures that set the exposure.
+/// Largest number of pictures that determine the exposure.
 const EXPOSED: usize = 32;
 
-/// A picture to be: its file and what is written below it.
+/// A future picture of the sheet: its file and its caption.
 struct Shown {
     file: PathBuf,
     caption: String,
 }
 
-/// Write `contact.png`, if there is anything to show.
+/// Writes `contact.png`, if there is anything to show.
 pub fn write(work: &Work, folder: &Folder, say: Say) -> Result<Option<String>, Failure> {
     let rows = rows(work, folder);
     let all: Vec<&Shown> = rows.iter().take(ROWS).flat_map(|(_, row)| row).collect();
@@ -46,7 +46,8 @@ pub fn write(work: &Work, folder: &Folder, say: Say) -> Result<Option<String>, F
     Ok(Some(path.display().to_string()))
 }
 
-/// Of clips a row for each variant; of single frames a row for all values of the last axis.
+/// Returns the rows of the sheet. For clips, each variant has a row; for single frames, each row contains all values of the last
+/// axis.
 fn rows(work: &Work, folder: &Folder) -> Vec<(String, Vec<Shown>)> {
     let there = |variant: &Planned| -> Vec<(u32, PathBuf)> {
         let ready = variant.frames.iter().filter(|p| folder.has(&variant.file(p.frame), &p.key));
@@ -71,7 +72,7 @@ fn rows(work: &Work, folder: &Folder) -> Vec<(String, Vec<Shown>)> {
     rows
 }
 
-/// Frames spread evenly over a clip, the first and the last among them.
+/// Returns frames spread evenly over a clip, including the first and the last.
 fn spread(frames: Vec<(u32, PathBuf)>) -> Vec<Shown> {
     let (count, last) = (frames.len().min(COLUMNS), frames.len().saturating_sub(1));
     let mut places = (0..count).map(|at| at * last / (count - 1).max(1)).peekable();

@@ -1,4 +1,4 @@
-//! Queueing the variants of a sweep, and collecting their frames as they finish.
+//! Queues the variants of a sweep, and collects their frames as they finish.
 
 use super::folder::{Folder, Order, Shot};
 use super::work::{Planned, Work};
@@ -15,22 +15,22 @@ use femc_reports::attempts::{JobRecord, write_record};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// Between two looks: at first short, for small scenes.
+/// Shortest interval between two status calls, used first, for small scenes.
 const FIRST_LOOK: Duration = Duration::from_millis(20);
 const LAST_LOOK: Duration = Duration::from_millis(300);
 
 /// A job of the sweep.
 pub struct Queued<'a> {
-    /// Whose frames it renders.
+    /// Variant whose frames it renders.
     pub variant: &'a Planned,
-    /// Its number.
+    /// Number of the job.
     pub job: JobId,
-    /// The frames that are wanted of it and not there yet.
+    /// Wanted frames of the job that are not fetched yet.
     open: BTreeSet<u32>,
     seen: u32,
 }
 
-/// Link what is there under another name; the frames that no file has yet, each with the first variant that needs it.
+/// Links frames that exist under another name. Returns the frames that no file has yet, each with the first variant that needs it.
 pub fn missing<'a>(work: &'a Work, folder: &mut Folder) -> Result<Vec<(&'a Planned, Vec<u32>)>, Failure> {
     let (mut missing, mut ordered) = (Vec::new(), BTreeSet::new());
     for variant in &work.variants {
@@ -53,7 +53,7 @@ pub fn missing<'a>(work: &'a Work, folder: &mut Folder) -> Result<Vec<(&'a Plann
     Ok(missing)
 }
 
-/// Queue a job for each variant with missing frames; one that a run before this one queued is found again.
+/// Queues a job for each variant with missing frames. Finds jobs again that an earlier run queued.
 pub async fn queue<'a>(
     work: &Work,
     missing: Vec<(&'a Planned, Vec<u32>)>,
@@ -64,7 +64,7 @@ pub async fn queue<'a>(
         let order = order(variant, frames, folder);
         folder.keep(&variant.name, order);
     }
-    // Before the first submission: whatever is queued from here on is found again.
+    // Save the orders before the first submission, so that jobs queued from here on are found again.
     folder.save()?;
     let mut queued = Vec::new();
     for (variant, frames) in missing {
@@ -78,7 +78,7 @@ pub async fn queue<'a>(
     Ok(queued)
 }
 
-/// The order that is open, if it is of these frames, else a new one.
+/// Returns the open order of a variant, if it contains these frames, else a new one.
 fn order(variant: &Planned, frames: &[u32], folder: &Folder) -> Order {
     let key = |frames: &[u32]| JobSpec { frames: frames.to_vec(), ..variant.spec.clone() }.key().to_string();
     let fits =
@@ -91,7 +91,7 @@ fn order(variant: &Planned, frames: &[u32], folder: &Folder) -> Order {
     })
 }
 
-/// What goes wrong with the jobs of a run before this one is tried again, and a pause is over.
+/// Retries failed jobs of an earlier run, and resumes paused ones.
 pub async fn wake(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Failure> {
     let ours: BTreeSet<JobId> = queued.iter().map(|queued| queued.job).collect();
     for status in farm.jobs().await?.iter().filter(|status| ours.contains(&status.job)) {
@@ -104,7 +104,7 @@ pub async fn wake(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Failure> {
     Ok(())
 }
 
-/// End what an embedded farm still has to do for a sweep that has changed since.
+/// Cancels jobs of an embedded farm that a changed sweep no longer needs.
 pub async fn cancel_others(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Failure> {
     let ours: BTreeSet<JobId> = queued.iter().map(|queued| queued.job).collect();
     for status in farm.jobs().await?.iter().filter(|s| !ours.contains(&s.job) && !s.state.has_ended()) {
@@ -113,7 +113,7 @@ pub async fn cancel_others(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Fai
     Ok(())
 }
 
-/// Keep what the attempts of each job took, for `femc stats` and `femc report`.
+/// Stores the usage of each job's attempts, for `femc stats` and `femc report`.
 async fn keep_record(queued: &[Queued<'_>], folder: &Folder, farm: &Farm) -> Result<(), Failure> {
     let run =
         std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
@@ -126,7 +126,7 @@ async fn keep_record(queued: &[Queued<'_>], folder: &Folder, farm: &Farm) -> Res
     Ok(())
 }
 
-/// Write frames as they finish until all jobs have ended; what went wrong with them.
+/// Writes frames as they finish until all jobs have ended. Returns lines about problems.
 pub async fn collect(
     queued: &mut [Queued<'_>],
     folder: &mut Folder,
@@ -144,7 +144,7 @@ pub async fn collect(
             if let Some(status) = all.get(&queued.job).filter(|status| status.frames_done > queued.seen) {
                 queued.seen = status.frames_done;
                 if queued.take(folder, farm).await? == Took::NotAll {
-                    // What is lost is rendered again, and counts when it is.
+                    // A lost frame is rendered again and counts afterwards.
                     (queued.seen, is_whole) = (0, false);
                 }
             }
@@ -172,16 +172,16 @@ pub async fn collect(
     }
 }
 
-/// Which of the finished frames were there.
+/// Result of fetching finished frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Took {
     All,
-    /// An image was damaged or gone.
+    /// A file of a frame was damaged or gone.
     NotAll,
 }
 
 impl Queued<'_> {
-    /// Write the frames that are finished.
+    /// Writes the finished frames.
     async fn take(&mut self, folder: &mut Folder, farm: &Farm) -> Result<Took, Failure> {
         let mut took = Took::All;
         for record in farm.frames(self.job).await? {
@@ -231,7 +231,7 @@ fn troubles(queued: &[Queued<'_>], all: &BTreeMap<JobId, JobStatus>) -> Vec<Stri
     queued.iter().flat_map(trouble).collect()
 }
 
-/// The progress of all jobs as if they were one.
+/// Returns the progress of all jobs as if they were one.
 fn together(jobs: &[&JobStatus], queued: &[Queued<'_>]) -> Snapshot {
     let mut sum = Snapshot::default();
     let mut weighted = 0.0;
@@ -243,7 +243,7 @@ fn together(jobs: &[&JobStatus], queued: &[Queued<'_>]) -> Snapshot {
         sum.tiles_done += one.tiles_done;
         sum.tiles += one.tiles;
         sum.samples += one.samples;
-        // The worst frame of all jobs; one without light has no error.
+        // Take the worst frame of all jobs. A frame without light has no error.
         if one.relative_error > sum.relative_error || sum.blocks.is_none() {
             (sum.relative_error, sum.blocks) = (one.relative_error, one.blocks);
         }

@@ -1,8 +1,7 @@
-//! The folder of a sweep: what is there, what it is made from, and what was ordered and is not there yet.
+//! Folder of a sweep: its frames, their keys, and open orders.
 //!
-//! `sweep.json` says of every file which key it has, so that a frame is rendered once, whichever variants show it and
-//! however often the sweep is extended. Files come first and what is said of them second: a file of which nothing is said is
-//! fetched once more.
+//! `sweep.json` stores the key of every file, so that a frame is rendered only once, even if several variants show it or the sweep
+//! is extended. A file is written before its entry in `sweep.json`. A file without an entry is fetched again.
 
 use super::work::{Planned, Work};
 use crate::clock::{Clock, Moment};
@@ -15,30 +14,30 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Name of the file that tells what is there.
+/// Name of the manifest.
 const MANIFEST: &str = "sweep.json";
-/// It is written at most so often: with very many frames it is large.
+/// Shortest interval between two writes of the manifest, which is large with very many frames.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// A folder and what is known of it.
+/// A folder and its manifest.
 pub struct Folder {
     path: PathBuf,
     manifest: Manifest,
     by_key: BTreeMap<String, String>,
     saved: Moment,
-    /// What each frame has beside it.
+    /// Files that each frame has beside it.
     beside: Beside,
 }
 
 #[derive(Default, Serialize, Deserialize)]
 struct Manifest {
-    /// The program's build of the engine.
+    /// Engine build of the program.
     engine: String,
-    /// Those of the latest run, in order.
+    /// Variants of the latest run, in order.
     variants: Vec<Named>,
     /// Frames by their paths in this folder.
     files: BTreeMap<String, Shot>,
-    /// Jobs whose frames are not all here yet, by variant.
+    /// Jobs with frames that are not fetched yet, by variant.
     orders: BTreeMap<String, Order>,
 }
 
@@ -48,38 +47,38 @@ struct Named {
     values: BTreeMap<String, String>,
 }
 
-/// A frame that is there.
+/// An existing frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Shot {
-    /// What it is made from.
+    /// Digest of the inputs of the frame.
     pub key: String,
-    /// Samples a pixel.
+    /// Samples per pixel.
     pub spp: u32,
-    /// Worst relative error of a block, where it is known.
+    /// Worst relative error of a block, if known.
     pub relative_error: Option<f64>,
-    /// Seconds that workers spent on it.
+    /// Seconds that workers spent on the frame.
     pub seconds: f64,
-    /// Samples left out.
+    /// Number of samples left out.
     pub bad_samples: u64,
-    /// The file that it is the same as, if it was not rendered for this variant.
+    /// File that it equals, if it was not rendered for this variant.
     pub same_as: Option<String>,
 }
 
-/// A job that was queued, or was about to be.
+/// A job that was queued, or is about to be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Order {
-    /// Its frames.
+    /// Frames of the job.
     pub frames: Vec<u32>,
-    /// Digest of all that decides its pixels.
+    /// Digest of everything that determines the job's pixels.
     pub spec: String,
-    /// What makes it a job of its own on a farm, however often it is submitted.
+    /// Unique ticket: submissions with it are one job, however often they are repeated.
     pub ticket: String,
-    /// Its number, once the farm has given it one.
+    /// Number of the job, once the farm has assigned it.
     pub job: Option<u64>,
 }
 
 impl Folder {
-    /// Open the folder, which need not be there.
+    /// Opens the folder, which need not exist.
     /// - `beside`: files without which a frame counts as missing.
     pub fn open(path: &Path, beside: Beside) -> Result<Self, Failure> {
         let file = path.join(MANIFEST);
@@ -95,7 +94,7 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Only files that are there and whole count.
+    /// Removes entries whose files are missing or damaged.
     fn forget_what_is_gone(&mut self) {
         let (path, beside) = (self.path.clone(), self.beside);
         self.manifest.files.retain(|name, _| {
@@ -103,43 +102,43 @@ impl Folder {
             beside.are_there(&path) && femc_film::exr::read_attributes(&path).is_ok()
         });
         let mut files: Vec<_> = self.manifest.files.iter().collect();
-        // Of equal files the last one stands for all: one that was rendered rather than linked.
+        // The last of several equal files represents them: a rendered one rather than a linked one.
         files.sort_by_key(|(_, shot)| shot.same_as.is_none());
         self.by_key = files.into_iter().map(|(name, shot)| (shot.key.clone(), name.clone())).collect();
     }
 
-    /// The path of a file in it.
+    /// Returns the path of a file in the folder.
     pub fn join(&self, name: &str) -> PathBuf {
         self.path.join(name)
     }
 
-    /// The folder.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What is said of a file.
+    /// Returns the entry of a file.
     pub fn shot(&self, name: &str) -> Option<&Shot> {
         self.manifest.files.get(name)
     }
 
-    /// The build of the engine that the folder's frames are of, if it is not this program's.
+    /// Returns the engine build of the folder's frames, if it is not this program's.
     pub fn other_engine(&self) -> Option<&str> {
         let engine = &*self.manifest.engine;
         (!self.manifest.files.is_empty() && engine != femc_worker::engine()).then_some(engine)
     }
 
-    /// Whether the file `name` is there and has this key.
+    /// Returns whether the file `name` exists and has this key.
     pub fn has(&self, name: &str, key: &str) -> bool {
         self.shot(name).is_some_and(|shot| shot.key == key)
     }
 
-    /// Whether some file has this key.
+    /// Returns whether some file has this key.
     pub fn knows(&self, key: &str) -> bool {
         self.by_key.contains_key(key)
     }
 
-    /// Make `name` the same file as the one that has this key; nothing if there is none.
+    /// Links `name` to the file that has this key; does nothing if there is none.
     pub fn link(&mut self, name: &str, key: &str) -> Result<(), Failure> {
         let Some(source) = self.by_key.get(key).cloned().filter(|source| source != name) else { return Ok(()) };
         let Some(shot) = self.manifest.files.get(&source).cloned() else { return Ok(()) };
@@ -152,7 +151,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Write a finished frame, and what lies beside it.
+    /// Writes a finished frame and the files beside it.
     pub fn write(&mut self, name: &str, bytes: &[u8], beside: &FoundBeside, shot: Shot) -> Result<(), Failure> {
         beside.write(&self.join(name))?;
         femc_film::file::write_atomic(&self.join(name), bytes).map_err(failed)?;
@@ -175,7 +174,7 @@ impl Folder {
         self.manifest.files.insert(name.to_owned(), shot);
     }
 
-    /// Remember the variants of this run.
+    /// Stores the variants of this run.
     pub fn name(&mut self, work: &Work) {
         let values = |variant: &Planned| {
             work.axes.iter().zip(&variant.values).map(|(axis, value)| (axis.clone(), value.text.clone())).collect()
@@ -185,22 +184,22 @@ impl Folder {
         self.manifest.engine = femc_worker::engine().to_owned();
     }
 
-    /// The job that a variant was ordered with.
+    /// Returns the open order of a variant.
     pub fn order(&self, variant: &str) -> Option<&Order> {
         self.manifest.orders.get(variant)
     }
 
-    /// Remember an order.
+    /// Stores an order.
     pub fn keep(&mut self, variant: &str, order: Order) {
         self.manifest.orders.insert(variant.to_owned(), order);
     }
 
-    /// All frames are here: no order is open any more.
+    /// Removes all orders, after all frames have been fetched.
     pub fn settle(&mut self) {
         self.manifest.orders.clear();
     }
 
-    /// Make all that is known durable.
+    /// Writes the manifest to disk.
     pub fn save(&mut self) -> Result<(), Failure> {
         self.saved = Clock.now();
         let text = serde_json::to_vec_pretty(&self.manifest).map_err(failed)?;
@@ -208,8 +207,8 @@ impl Folder {
     }
 }
 
-/// Makes `to` the same file as `from`: a hard link, a copy where there are none. A file that is there is replaced, never
-/// written into: it may be another variant's, too.
+/// Makes `to` equal to `from`: a hard link, or a copy if links are not possible. An existing file is replaced and never overwritten
+/// in place, because it may belong to another variant, too.
 fn same(from: &Path, to: &Path) -> std::io::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;

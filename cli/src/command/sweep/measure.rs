@@ -1,4 +1,4 @@
-//! What the frames of a sweep show, in numbers: `frames` has a row for each frame, `variants` one for each variant.
+//! Measurements of the frames of a sweep: `frames` has one row per frame, `variants` one per variant.
 
 use super::folder::{Folder, Shot};
 use super::work::{Planned, Work};
@@ -7,19 +7,19 @@ use femc_film::{Image, exr};
 use femc_reports::sweep::{Cells, Table};
 use std::collections::BTreeMap;
 
-/// A frame in numbers.
+/// Measurements of a frame.
 pub struct Measured<'a> {
     variant: &'a Planned,
     frame: u32,
     shot: Shot,
-    /// Mean of the film, cd/m2.
+    /// Mean luminance of the film, cd/m2.
     luminance: f64,
-    /// Means of the regions, cd/m2.
+    /// Mean luminances of the regions, cd/m2.
     regions: Vec<f64>,
     contrasts: Vec<Option<f64>>,
 }
 
-/// Measure all frames that are there, in the order of the sweep.
+/// Measures all existing frames, in the order of the sweep.
 pub fn measure<'a>(work: &'a Work, folder: &Folder) -> Result<Vec<Measured<'a>>, Failure> {
     let mut seen: BTreeMap<String, (f64, Vec<f64>)> = BTreeMap::new();
     let mut measured = Vec::new();
@@ -47,7 +47,7 @@ pub fn measure<'a>(work: &'a Work, folder: &Folder) -> Result<Vec<Measured<'a>>,
     Ok(measured)
 }
 
-/// Mean luminance of the pixels of a rectangle that are finite, cd/m2.
+/// Returns the mean luminance of the finite pixels in a rectangle, cd/m2.
 fn mean(image: &Image, [x0, y0, x1, y1]: [u32; 4]) -> f64 {
     let (x1, y1) = (x1.min(image.width), y1.min(image.height));
     let pixels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| y as usize * image.width as usize + x as usize));
@@ -56,7 +56,7 @@ fn mean(image: &Image, [x0, y0, x1, y1]: [u32; 4]) -> f64 {
     sum / count.max(1) as f64
 }
 
-/// Weber's contrasts; none against black.
+/// Returns Weber contrasts; none against black.
 fn contrasts(work: &Work, regions: &[f64]) -> Vec<Option<f64>> {
     let of =
         |name: &str| work.measures.regions.iter().zip(regions).find(|(region, _)| region.name == name).map(|(_, l)| *l);
@@ -67,7 +67,7 @@ fn contrasts(work: &Work, regions: &[f64]) -> Vec<Option<f64>> {
     work.measures.contrasts.iter().map(|pair| contrast(&pair.target, &pair.background)).collect()
 }
 
-/// A row for each frame.
+/// Returns a table with a row for each frame.
 pub fn frames(work: &Work, measured: &[Measured<'_>]) -> Table {
     let rows: Vec<Vec<&Measured<'_>>> = measured.iter().map(|one| vec![one]).collect();
     let mut table = start(work, &measured.iter().map(|one| one.variant).collect::<Vec<_>>());
@@ -79,7 +79,7 @@ pub fn frames(work: &Work, measured: &[Measured<'_>]) -> Table {
     table
 }
 
-/// A row for each variant: means of its frames, the worst error, the sum of the seconds.
+/// Returns a table with a row for each variant: means of its frames, the worst error, the sum of the seconds.
 pub fn variants(work: &Work, measured: &[Measured<'_>]) -> Table {
     let of = |variant: &Planned| measured.iter().filter(|one| std::ptr::eq(one.variant, variant)).collect();
     let rows: Vec<Vec<&Measured<'_>>> = work.variants.iter().map(of).collect();
@@ -91,7 +91,7 @@ pub fn variants(work: &Work, measured: &[Measured<'_>]) -> Table {
     table
 }
 
-/// The variant and its values.
+/// Starts a table with the columns of the variant and its values.
 fn start(work: &Work, rows: &[&Planned]) -> Table {
     let mut table = Table::default();
     table.add("variant", Cells::Text(rows.iter().map(|variant| variant.name.clone()).collect()));

@@ -1,4 +1,4 @@
-//! `femc sweep JOB.toml`: the variants of a job, on a farm or in this process.
+//! `femc sweep JOB.toml`: renders the variants of a job, on a farm or in this process.
 
 mod contact;
 mod drive;
@@ -54,16 +54,16 @@ pub struct SweepArgs {
     /// Job file with a `[sweep]`
     #[arg(value_name = "JOB.toml")]
     job: PathBuf,
-    /// Folder for the variants: wait for the jobs, and collect their frames there
+    /// Folder for the variants; the command waits for the jobs and collects their frames there
     #[arg(long, short, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Queue, and do not wait: the same command without it collects
+    /// Queue the jobs without waiting; rerun the command without this flag to collect
     #[arg(long, requires = "out", conflicts_with = "local")]
     detach: bool,
     /// Render in this process, with --workers and --threads, instead of on a farm
     #[arg(long, requires = "out")]
     local: bool,
-    /// 0 to 100, greater goes first [default: the job file's, or 50]
+    /// 0 to 100, greater first [default: the job file's, or 50]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
     priority: Option<u8>,
     /// Owner of the jobs [default: the user's name]
@@ -79,7 +79,7 @@ pub struct SweepArgs {
     settings: SettingsArgs,
 }
 
-/// Sweep.
+/// Runs `femc sweep`.
 pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
     let mut work = Work::open(&args.job, &args.settings, say)?;
@@ -128,7 +128,7 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
     if args.detach {
         return report.queued(args.format.json, say);
     }
-    // Equal frames of other variants: what they wait for is there now.
+    // Link equal frames of other variants, whose originals exist now.
     let left = drive::missing(&work, &mut folder)?;
     let measured = measure::measure(&work, &folder)?;
     measure::frames(&work, &measured).write(out, "frames")?;
@@ -148,7 +148,7 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
     Err(failed(troubles.join("\n")))
 }
 
-/// Nobody else writes into the folder meanwhile; an embedded farm's log of another scene goes.
+/// Locks the folder against other processes. Removes the log of an embedded farm if it belongs to another scene.
 fn lock(work: &Work, out: &Path) -> Result<State, Failure> {
     let identity = Identity {
         engine: femc_worker::engine().to_owned(),
@@ -158,7 +158,7 @@ fn lock(work: &Work, out: &Path) -> Result<State, Failure> {
     Ok(State::open(&out.join(".femc"), &identity, Old::Keep)?.0)
 }
 
-/// Render in this process.
+/// Renders in this process.
 fn local(
     work: &Work,
     missing: Vec<(&Planned, Vec<u32>)>,
@@ -193,7 +193,7 @@ fn local(
     })
 }
 
-/// Queue whole variants, for others to fetch; variants whose frames are all the same are one job.
+/// Queues whole variants, without fetching them. Variants with exactly the same frames share a job.
 fn queue_only(work: &Work, args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
     let mut report = Report::new(work, Path::new(""), Shares::count(work, None));
     report.jobs = client::block_on(&args.server, async |farm: &Farm| {

@@ -1,4 +1,4 @@
-//! `femc plan JOB.toml` of a job with variants: what they share, and what that saves.
+//! `femc plan JOB.toml` of a job with variants: shows what the variants share, and how much that saves.
 
 use super::share::Shares;
 use super::work::Work;
@@ -18,20 +18,20 @@ struct Report {
     names: Vec<String>,
 }
 
-/// Estimated from a trial of the first variant on this machine.
+/// Cost estimated from a trial of the first variant on this machine.
 #[derive(Serialize)]
 struct Cost {
-    /// A frame made ready from nothing, s.
+    /// Time to prepare a frame from scratch, s.
     prepare_seconds: f64,
-    /// Rate of camera samples.
+    /// Camera samples per second.
     samples_per_second: f64,
-    /// Every frame for itself, s.
+    /// Time without sharing, s.
     seconds_alone: f64,
-    /// With what is shared, s.
+    /// Time with sharing, s.
     seconds_shared: f64,
 }
 
-/// Plan a sweep.
+/// Plans a sweep.
 pub fn plan(path: &Path, typed: &SettingsArgs, run: Trial, as_json: bool, say: Say) -> Result<Exit, Failure> {
     let work = Work::open(path, typed, say)?;
     let shares = Shares::count(&work, None);
@@ -59,7 +59,7 @@ pub fn plan(path: &Path, typed: &SettingsArgs, run: Trial, as_json: bool, say: S
     Ok(Exit::Done)
 }
 
-/// `None` where the number of samples is not known in advance.
+/// Estimates the cost; `None` if the number of samples is not known in advance.
 fn cost(work: &Work, shares: &Shares) -> Result<Option<Cost>, Failure> {
     let samples = work.variants.iter().try_fold(0u64, |sum, variant| match variant.stop {
         Stop::Spp(spp) => {

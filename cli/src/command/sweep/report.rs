@@ -1,4 +1,4 @@
-//! What a sweep says at its end.
+//! Report of a sweep.
 
 use super::share::Shares;
 use super::work::Work;
@@ -8,14 +8,14 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// The summary: `--json` prints it whole.
+/// Summary of a sweep, printed whole by `--json`.
 #[derive(Debug, Serialize)]
 pub struct Report {
-    /// The folder; empty without `-o`.
+    /// Folder of the sweep; empty without `-o`.
     pub out: String,
-    /// Names of the variants, which are their folders'.
+    /// Names of the variants, which are also the names of their folders.
     pub variants: Vec<String>,
-    /// What was shared, as it was counted before the start.
+    /// Sharing, counted before the start.
     #[serde(flatten)]
     pub shares: Counts,
     /// Jobs that were queued or found again.
@@ -26,32 +26,32 @@ pub struct Report {
     pub seconds: f64,
 }
 
-/// Frames, by how they came.
+/// Frames by origin.
 #[derive(Debug, Serialize)]
 pub struct Counts {
-    /// All.
+    /// Number of all frames.
     pub frames: usize,
-    /// Rendered by this run.
+    /// Frames rendered by this run.
     pub rendered: usize,
-    /// The same as others.
+    /// Frames linked to equal ones.
     pub linked: usize,
-    /// Finished before.
+    /// Frames finished before this run.
     pub kept: usize,
-    /// Worlds that were prepared.
+    /// Number of prepared worlds.
     pub worlds: usize,
 }
 
 /// A job of the sweep.
 #[derive(Debug, Serialize)]
 pub struct JobReport {
-    /// Whose frames it renders.
+    /// Variant whose frames it renders.
     pub variant: String,
-    /// Its number.
+    /// Number of the job.
     pub job: u64,
 }
 
 impl Report {
-    /// Before anything has run.
+    /// Creates the report before anything has run.
     pub fn new(work: &Work, out: &Path, shares: Shares) -> Self {
         let Shares { frames, there: kept, linked, render: rendered, worlds, .. } = shares;
         Self {
@@ -64,12 +64,12 @@ impl Report {
         }
     }
 
-    /// Say on stderr which job is which variant.
+    /// Prints on stderr which job belongs to which variant.
     pub fn note_jobs(&self, say: Say) {
         self.jobs.iter().for_each(|job| say.note(format!("job {}: {}", job.job, job.variant)));
     }
 
-    /// Queued and not waited for: the jobs' numbers on stdout, each alone on its line.
+    /// Prints the numbers of queued jobs on stdout, one per line, when the command does not wait.
     pub fn queued(&self, as_json: bool, say: Say) -> Result<Exit, Failure> {
         if as_json {
             json::print(say, self)?;
@@ -80,7 +80,7 @@ impl Report {
         Ok(Exit::Done)
     }
 
-    /// All is there.
+    /// Prints the report of a complete sweep.
     pub fn print(&self, as_json: bool, say: Say) -> Result<(), Failure> {
         if as_json {
             return json::print(say, self);

@@ -1,4 +1,4 @@
-//! What the variants of a sweep share, counted before anything runs.
+//! Sharing among the variants of a sweep, counted before anything runs.
 
 use super::folder::Folder;
 use super::work::Work;
@@ -7,29 +7,30 @@ use femc_pipeline::Stop;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// What is shared.
+/// Counts of shared work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Shares {
-    /// Variants.
+    /// Number of variants.
     pub variants: usize,
     /// Frames of all variants.
     pub frames: usize,
-    /// Of these, finished before.
+    /// Frames finished before.
     pub there: usize,
-    /// Of these, the same as another frame of the sweep: linked, not rendered.
+    /// Frames equal to another frame of the sweep: linked, not rendered.
     pub linked: usize,
-    /// Of these, to be rendered.
+    /// Frames to render.
     pub render: usize,
-    /// Different worlds among those to be rendered: what is prepared besides cameras.
+    /// Number of different worlds among the frames to render. Each world is prepared once, apart from cameras.
     pub worlds: usize,
-    /// Different first passes of those to be rendered: worlds that differ in how bright all lamps are together share one; 0 without any.
+    /// Number of different first passes among the frames to render. Worlds that differ only in a common brightness factor of all
+    /// lamps share one. 0 without a first pass.
     pub first_passes: usize,
-    /// Camera samples that are not taken, where their number is known in advance.
+    /// Camera samples saved, if their number is known in advance.
     pub samples_saved: u64,
 }
 
 impl Shares {
-    /// Count. `folder`: what is there.
+    /// Counts the sharing. `folder`: existing frames.
     pub fn count(work: &Work, folder: Option<&Folder>) -> Self {
         let mut shares = Self { variants: work.variants.len(), ..Self::default() };
         let (mut keys, mut worlds, mut first_passes) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
@@ -57,7 +58,7 @@ impl Shares {
         shares
     }
 
-    /// For people, line by line.
+    /// Returns the counts as lines for people.
     pub fn lines(&self) -> Vec<String> {
         let Self { variants, frames, there, linked, render, worlds, first_passes, samples_saved } = *self;
         let count = |n: usize, what: &str| human::count(n as u64, what);
@@ -85,7 +86,7 @@ impl Shares {
         lines
     }
 
-    /// Say so on stderr.
+    /// Prints the counts on stderr.
     pub fn note(&self, say: Say) {
         self.lines().iter().for_each(|line| say.note(line));
     }

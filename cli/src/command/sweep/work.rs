@@ -1,4 +1,4 @@
-//! A sweep checked against its scene: its variants, and for each frame what it is made from.
+//! A sweep checked against its scene: its variants, and the keys of their frames.
 
 use crate::args::{Method, SettingsArgs};
 use crate::command::client;
@@ -11,63 +11,64 @@ use femc_scene::SceneDigest;
 use femc_worker::Parcel;
 use std::path::Path;
 
-/// Most frames of all variants together.
+/// Largest number of frames of all variants together.
 const MAX_FRAMES: usize = 1 << 20;
 
-/// All that a sweep asks for.
+/// The checked request of a sweep.
 pub struct Work {
     /// Names of the axes: selectors and settings.
     pub axes: Vec<String>,
-    /// The same, as short as they stay different.
+    /// Names of the axes, shortened as far as they stay unique.
     pub labels: Vec<String>,
-    /// In the order of the sweep.
+    /// Variants, in the order of the sweep.
     pub variants: Vec<Planned>,
-    /// What is measured besides the film.
+    /// Regions and contrasts to measure besides the film.
     pub measures: Measures,
     /// The scene's files.
     pub scene: Parcel,
-    /// The first variant whole, to try its cost on.
+    /// The first variant, for a trial of the cost.
     pub first: Asked,
 }
 
 /// A variant as it will be rendered.
 pub struct Planned {
-    /// Its folder.
+    /// Name of its folder.
     pub name: String,
     /// A value for each axis.
     pub values: Vec<Value>,
     /// First part of the names of its frames' files.
     pub stem: String,
-    /// The job of all its frames, named by the file names' first part and by what varies.
+    /// Job of all frames of the variant. Its name consists of the file names' first part and the variant's name.
     pub spec: JobSpec,
-    /// When a frame is done.
+    /// Stopping rule of a frame.
     pub stop: Stop,
-    /// Its frames, ascending.
+    /// Frames, ascending.
     pub frames: Vec<Planning>,
 }
 
 /// A value of an axis.
 #[derive(Clone, Debug)]
 pub struct Value {
-    /// For people.
+    /// Value as text, for people.
     pub text: String,
-    /// Where it is a number.
+    /// Value as a number, if it is one.
     pub number: Option<f64>,
 }
 
-/// A frame and what it is made from.
+/// A frame and its keys.
 pub struct Planning {
-    /// Its number.
+    /// Frame number.
     pub frame: u32,
-    /// Frames with equal keys have the same pixels: hash of the build of this program's engine, all that the camera sees, and the
-    /// settings of sampling.
+    /// Digest of the engine build of this program, everything that the camera sees, and the sampling settings. Frames with equal
+    /// keys have the same pixels.
     pub key: String,
-    /// Frames with equal worlds are prepared once, but for the camera.
+    /// Digest of the world. Frames with equal worlds are prepared once, apart from the camera.
     pub world: SceneDigest,
 }
 
 impl Work {
-    /// Read the job file `path`, apply `typed`, check every variant. Renders nothing but a pilot of the first one, where no method is named.
+    /// Reads the job file `path`, applies `typed` and checks every variant. Renders at most a pilot of the first variant, if no
+    /// method is named.
     pub fn open(path: &Path, typed: &SettingsArgs, say: Say) -> Result<Self, Failure> {
         let mut job = JobFile::load(path).map_err(usage)?;
         let sweep = job.sweep.take().ok_or_else(|| {
@@ -96,7 +97,7 @@ impl Work {
             let mut asked = base.ask(&variant.apply(&settings), &at)?;
             (asked.priority, asked.tags, asked.given_name) = (job.priority, job.tags.clone(), job.name.clone());
             asked.notes = job.notes.clone();
-            // All variants have one method: they are there to be compared.
+            // All variants use the method of the first one, so that they can be compared.
             if work.is_none() {
                 asked.warn(say);
                 asked = asked.decided(say)?;
@@ -138,7 +139,7 @@ impl Work {
         work.ok_or_else(|| failed("the sweep has no variants"))
     }
 
-    /// `sigma_s = 0.01, ed = 10000`.
+    /// Returns text like `sigma_s = 0.01, ed = 10000`.
     pub fn title(&self, variant: &Planned) -> String {
         let pairs = self.labels.iter().zip(&variant.values).map(|(label, value)| format!("{label} = {}", value.text));
         pairs.collect::<Vec<_>>().join(", ")
@@ -164,15 +165,15 @@ impl Planned {
         })
     }
 
-    /// Path of a frame within the sweep's folder.
+    /// Returns the path of a frame within the sweep's folder.
     pub fn file(&self, frame: u32) -> String {
         format!("{}/{}", self.name, crate::command::render::frame_name(&self.stem, frame))
     }
 }
 
-/// The digest of all that decides a frame's pixels.
+/// Returns the digest of everything that determines a frame's pixels.
 fn key(view: &SceneDigest, settings: &Settings) -> Result<String, Failure> {
-    // The view holds what these three have done.
+    // The digest of the view already includes the effect of these three settings.
     let sampling = Settings { camera: None, size: None, overrides: Vec::new(), ..settings.clone() };
     let text = serde_json::to_string(&(femc_worker::engine(), view.to_string(), sampling)).map_err(failed)?;
     Ok(Digest::of(text.as_bytes()).to_string())

@@ -1,4 +1,4 @@
-//! One axis of a sweep: a selector or a setting, and its values.
+//! An axis of a sweep: a selector or a setting, and its values.
 
 use super::change::Change;
 use super::fault::Fault;
@@ -9,38 +9,38 @@ use std::borrow::Cow;
 use toml::Spanned;
 use toml::de::DeValue;
 
-/// What is varied, and the values that it takes.
+/// A selector or setting, and the values that it takes.
 #[derive(Debug)]
 pub struct Axis {
     /// Selector, or the setting's long name.
     pub name: String,
-    /// At least one.
+    /// Values, at least one.
     pub choices: Vec<Choice>,
     /// Line and column of the name.
     pub place: Place,
-    /// Byte offset of the same.
+    /// Byte offset of the name.
     pub offset: usize,
 }
 
 /// A value of an axis.
 #[derive(Clone, Debug)]
 pub struct Choice {
-    /// What it changes.
+    /// Change of the settings.
     pub change: Change,
-    /// The value as it is shown and names folders.
+    /// Text of the value, for messages and folder names.
     pub text: String,
     /// Line and column of the value.
     pub place: Place,
-    /// Byte offset of the same.
+    /// Byte offset of the value.
     pub offset: usize,
 }
 
-/// Keys of a job file that are no settings of an image.
+/// Keys of a job file that cannot be axes, because they are not settings of an image.
 const NOT_VARIED: [&str; 14] = [
     "scene", "name", "comment", "labels", "notify", "workers", "threads", "priority", "tags", "stats", "layer",
     "layers", "set", "sweep",
 ];
-/// The ones that are, as they are named in messages.
+/// Settings that can be axes, as listed in messages.
 const SETTINGS: &str = "camera, size, frames, spp, error, time, method, max-depth, filter, seed";
 
 impl Axis {
@@ -85,7 +85,7 @@ impl Choice {
         Ok(Self { text: change.text(), change, place: Place::of(text, offset), offset })
     }
 
-    /// A value of a range.
+    /// Returns the choice for a value of a range.
     fn number(name: &str, number: f64, offset: usize, text: &str) -> Result<Self, Fault> {
         let whole =
             || (number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number)).then_some(number as u32);

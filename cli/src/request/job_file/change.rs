@@ -1,4 +1,4 @@
-//! One setting of an image, or one scalar of a scene, and what it becomes.
+//! A change of one setting of an image, or of one scalar of a scene.
 
 use super::fault::one_line;
 use crate::args::{Filter, Method, SettingsArgs};
@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use toml::Spanned;
 use toml::de::{DeValue, ValueDeserializer};
 
-/// What a choice of an axis changes.
+/// A setting or scalar and its new value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
     /// A scalar of the scene.
@@ -36,7 +36,7 @@ pub enum Change {
     Seed(u64),
 }
 
-/// A value by the type that it is to have.
+/// Parses a value of a given type.
 fn typed<'d, T: Deserialize<'d>>(value: &Spanned<DeValue<'d>>) -> Result<T, String> {
     T::deserialize(ValueDeserializer::from(value.clone())).map_err(|e| one_line(e.message()))
 }
@@ -58,7 +58,7 @@ impl Change {
         })
     }
 
-    /// What the command line refuses of a flag is refused here.
+    /// Checks the value as the command line checks the flag.
     pub(super) fn check(&self) -> Result<(), &'static str> {
         match self {
             Self::Spp(0) => Err("spp is at least 1"),
@@ -69,7 +69,7 @@ impl Change {
         }
     }
 
-    /// The value for people and for folders' names: the shortest text that reads back the same.
+    /// Returns the value as text, for people and folder names: the shortest text that parses to the same value.
     pub fn text(&self) -> String {
         match self {
             Self::Scalar(Override { value, .. }) | Self::Error(value) => shortest(*value),
@@ -90,7 +90,7 @@ impl Change {
         }
     }
 
-    /// The value, where it is a number.
+    /// Returns the value, if it is a number.
     pub fn as_number(&self) -> Option<f64> {
         match self {
             Self::Scalar(Override { value, .. }) | Self::Error(value) => Some(*value),
@@ -101,7 +101,7 @@ impl Change {
         }
     }
 
-    /// Make the change. A stopping rule takes the place of any other.
+    /// Applies the change. A stopping rule replaces all others.
     pub(super) fn apply(&self, settings: &mut SettingsArgs) {
         let stop = |settings: &mut SettingsArgs| (settings.spp, settings.error, settings.time) = (None, None, None);
         match self {
@@ -129,11 +129,11 @@ impl Change {
     }
 }
 
-/// What writing settings down takes.
+/// Conversion of settings into changes.
 #[cfg(feature = "openjd")]
 impl Change {
-    /// The changes that make these settings out of none, each setting and each selector once; without `workers`, `threads`
-    /// and `stats`, which change no pixel.
+    /// Returns the changes that turn empty settings into these, one per setting and selector. They do not include `workers`,
+    /// `threads` and `stats`, which change no pixel.
     pub fn all(settings: &SettingsArgs) -> Vec<Self> {
         let SettingsArgs { camera, size, frames, spp, error, time, method, max_depth, filter, seed, set, .. } =
             settings;
@@ -154,7 +154,7 @@ impl Change {
         given.into_iter().flatten().chain(scalars).collect()
     }
 
-    /// The setting's long name, or the selector.
+    /// Returns the setting's long name, or the selector.
     pub fn name(&self) -> &str {
         match self {
             Self::Scalar(Override { selector, .. }) => selector,
@@ -172,7 +172,7 @@ impl Change {
     }
 }
 
-/// `0.02`, `10000`, `1e-9`.
+/// Formats a number as `0.02`, `10000`, `1e-9`.
 fn shortest(number: f64) -> String {
     let [plain, scientific] = [number.to_string(), format!("{number:e}")];
     if plain.len() <= scientific.len() + 3 { plain } else { scientific }

@@ -1,4 +1,4 @@
-//! `[regions]` and `[contrasts]`: what is measured in every frame of a sweep.
+//! `[regions]` and `[contrasts]`: measurements in every frame of a sweep.
 
 use super::fault::Fault;
 use crate::values::Place;
@@ -10,38 +10,38 @@ use toml::de::{DeValue, ValueDeserializer};
 /// A rectangle of the film.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Region {
-    /// Its name.
+    /// Name of the region.
     pub name: String,
-    /// Left, top, right and lower border, pixels from the upper left corner; the last two are not part of it.
+    /// Left, top, right and bottom border, in pixels from the upper left corner; right and bottom are exclusive.
     pub bounds: [u32; 4],
-    /// Where it stands in the job file.
+    /// Location in the job file.
     pub place: Place,
 }
 
-/// Weber's contrast of one region against another: (L - Lb) / Lb.
+/// Weber contrast of one region against another: (L - Lb) / Lb.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Contrast {
-    /// Its name.
+    /// Name of the contrast.
     pub name: String,
-    /// The region that is to be seen.
+    /// Region of the object.
     pub target: String,
-    /// The region that it is seen against.
+    /// Region of the background.
     pub background: String,
 }
 
-/// What is measured besides the whole film.
+/// Measurements besides the whole film.
 #[derive(Clone, Debug, Default)]
 pub struct Measures {
-    /// In the order of the file.
+    /// Regions in the order of the file.
     pub regions: Vec<Region>,
-    /// In the order of the file.
+    /// Contrasts in the order of the file.
     pub contrasts: Vec<Contrast>,
 }
 
 type Entry<'a> = (String, usize, &'a Spanned<DeValue<'a>>);
 
 impl Measures {
-    /// Read both tables.
+    /// Reads both tables.
     pub(super) fn read(
         regions: Option<&Spanned<DeValue<'_>>>,
         contrasts: Option<&Spanned<DeValue<'_>>>,
@@ -67,7 +67,7 @@ impl Measures {
     }
 }
 
-/// The lines of a table in the order of the file.
+/// Returns the lines of a table in the order of the file.
 fn entries<'a>(table: Option<&'a Spanned<DeValue<'a>>>, form: &str) -> Result<Vec<Entry<'a>>, Fault> {
     let Some(table) = table else { return Ok(Vec::new()) };
     let DeValue::Table(entries) = table.get_ref() else { return Err(Fault::new(table.span().start, form)) };

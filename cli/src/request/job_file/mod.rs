@@ -1,4 +1,4 @@
-//! JOB.toml: a scene and its settings by their long names, in a file; with `[sweep]`, its variants.
+//! JOB.toml: a file with a scene and its settings by their long names; with `[sweep]`, also its variants.
 
 mod axis;
 mod change;
@@ -30,28 +30,28 @@ use toml::de::{DeTable, DeValue};
 /// A parsed job file.
 #[derive(Debug)]
 pub struct JobFile {
-    /// The file itself.
+    /// Path of the job file.
     pub path: PathBuf,
-    /// The scene, relative paths already taken from the job file's folder.
+    /// Path of the scene. Relative paths have been resolved against the job file's folder.
     pub scene: PathBuf,
-    /// The settings, as if typed.
+    /// Settings, as if typed.
     pub settings: SettingsArgs,
-    /// 0..=100.
+    /// Priority, 0..=100.
     pub priority: Option<u8>,
-    /// Workers that may take it carry all of these.
+    /// Tags that workers need to run the job, all of them.
     pub tags: Vec<String>,
     /// Name of the job and of its files.
     pub name: Option<String>,
     /// Comment, labels, URL to notify.
     pub notes: JobNotes,
-    /// The variants, if it has any.
+    /// Variants, if the file has `[sweep]`.
     pub sweep: Option<Sweep>,
-    /// What is measured in the frames of a sweep.
+    /// Measurements in the frames of a sweep.
     pub measures: Measures,
     places: BTreeMap<String, Place>,
 }
 
-/// The file's own form. `_` and `-` are both accepted in `max-depth`.
+/// The file as written. `_` and `-` are both accepted in `max-depth`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 struct Written {
@@ -86,7 +86,7 @@ struct Written {
     notify: Option<String>,
     #[serde(default)]
     set: BTreeMap<String, f64>,
-    /// These are read by hand: each value has its place.
+    /// These tables are read without serde, to get the location of each value.
     #[serde(rename = "sweep")]
     _sweep: Option<IgnoredAny>,
     #[serde(rename = "regions")]
@@ -95,7 +95,7 @@ struct Written {
     _contrasts: Option<IgnoredAny>,
 }
 
-/// `true`, `false` or `"full"`.
+/// Value of `stats`: `true`, `false` or `"full"`.
 #[derive(Debug, Deserialize)]
 #[serde(untagged, expecting = "expected true, false or \"full\"")]
 enum StatsValue {
@@ -119,14 +119,14 @@ impl StatsValue {
 }
 
 impl JobFile {
-    /// Read and check `path`.
+    /// Reads and checks `path`.
     pub fn load(path: &Path) -> Result<Self, JobFileError> {
         let text =
             std::fs::read_to_string(path).map_err(|cause| JobFileError::Read { path: path.to_owned(), cause })?;
         Self::parse(path, &text)
     }
 
-    /// The job in `text`, which stands in the file `path`.
+    /// Parses the job in `text`; `path`: its file.
     pub fn parse(path: &Path, text: &str) -> Result<Self, JobFileError> {
         Self::read(path, text).map_err(|fault| fault.within(path, text))
     }
@@ -172,24 +172,25 @@ impl JobFile {
         })
     }
 
-    /// Where a setting stands, `frames`, or an override, `set.medium.fog.sigma_s`: `job.toml:3:10`.
+    /// Returns the location of a setting, such as `frames` or the override `set.medium.fog.sigma_s`: `job.toml:3:10`.
     pub fn at(&self, key: &str) -> Option<String> {
         self.places.get(key).map(|place| self.shown(*place))
     }
 
-    /// A place in this file, for a message.
+    /// Formats a location in this file for a message.
     pub fn shown(&self, place: Place) -> String {
         format!("{}:{}:{}", self.path.display(), place.line, place.column)
     }
 
-    /// From now on these settings are not those of the file.
+    /// Removes the locations of settings that the command line replaces.
     pub fn replaced(&mut self, typed: &SettingsArgs) {
         let keys = typed_keys(typed);
         self.places.retain(|key, _| !keys.contains(key.strip_prefix("set.").unwrap_or(key)));
     }
 }
 
-/// Long names of the settings that were typed, and selectors of typed overrides. A stopping rule stands for all three.
+/// Returns the long names of the typed settings, and the selectors of typed overrides. A typed stopping rule adds the names of all
+/// three.
 pub fn typed_keys(typed: &SettingsArgs) -> BTreeSet<&str> {
     let SettingsArgs { camera, size, frames, spp, error, time, method, max_depth, filter, seed, set, .. } = typed;
     let stop = spp.is_some() || error.is_some() || time.is_some();
@@ -223,7 +224,7 @@ fn places(table: &DeTable<'_>, text: &str) -> BTreeMap<String, Place> {
     places
 }
 
-/// What the command line refuses of a flag is refused of a key: the key at fault and what is wrong.
+/// Checks the keys as the command line checks the flags. The error contains the faulty key and a description.
 fn check(job: &Written) -> Result<(), (&'static str, String)> {
     let stops = [job.spp.is_some(), job.error.is_some(), job.time.is_some()];
     if stops.iter().filter(|&&given| given).count() > 1 {
@@ -258,7 +259,7 @@ fn check(job: &Written) -> Result<(), (&'static str, String)> {
     Ok(())
 }
 
-/// Byte offset of the line that begins with `key`.
+/// Returns the byte offset of the line that begins with `key`.
 fn offset_of(text: &str, key: &str) -> usize {
     let mut offset = 0;
     for line in text.split_inclusive('\n') {

@@ -1,11 +1,11 @@
-//! `{ from = 1e4, to = 1e5, steps = 4, scale = "log" }`.
+//! A range of numbers: `{ from = 1e4, to = 1e5, steps = 4, scale = "log" }`.
 
 use super::fault::Fault;
 use serde::Deserialize as _;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
 
-/// Most variants of a sweep: each is a job and a folder.
+/// Largest number of variants of a sweep; each is a job and a folder.
 pub const MAX_VARIANTS: usize = 4096;
 
 /// Evenly spaced numbers, both ends included.
@@ -17,7 +17,7 @@ pub struct Range {
     scale: Scale,
 }
 
-/// In what they are evenly spaced.
+/// Spacing of the numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Scale {
     /// Equal differences.
@@ -28,7 +28,7 @@ enum Scale {
 }
 
 impl Range {
-    /// Read the table of axis `name`, which begins at `offset`.
+    /// Reads the table of axis `name`, which begins at `offset`.
     pub(super) fn read(name: &str, offset: usize, table: &DeTable<'_>) -> Result<Self, Fault> {
         for (key, value) in table {
             if !["from", "to", "steps", "scale"].contains(&key.get_ref().as_ref()) {
@@ -65,8 +65,8 @@ impl Range {
         Ok(range)
     }
 
-    /// The numbers. Those between the ends are rounded to 12 digits, so that a range of twice the steps has all numbers of
-    /// the coarser one, to the bit.
+    /// Returns the numbers. Those between the ends are rounded to 12 digits, so that a range of twice the steps has all numbers of
+    /// the coarser one, bit by bit.
     pub(super) fn values(self) -> Vec<f64> {
         let Self { from, to, steps, scale } = self;
         let at = |step: usize| {

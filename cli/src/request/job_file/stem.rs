@@ -1,14 +1,14 @@
-//! Names of variants, as folders.
+//! Names of variants, used as folder names.
 
 use femc_model::Digest;
 use std::collections::BTreeMap;
 
-/// Longest name, bytes: with a frame's own name it fits every file system.
+/// Longest name in bytes. Together with a frame's own name it fits every file system.
 const LONGEST: usize = 120;
 
-/// A name for each list of texts: safe on all file systems, different from all others even where case does not count, and
-/// a function of the texts alone wherever that is enough. What is not the texts as they stand ends in a part of their
-/// digest.
+/// Returns a name for each list of texts. Names are safe on all file systems, and unique even if case is ignored. A plain name is a
+/// function of its texts alone. If it is unsafe, too long or not unique, the name is changed and ends in a part of the digest of
+/// the texts.
 pub fn stems(rows: &[Vec<String>]) -> Vec<String> {
     let plain: Vec<String> = rows.iter().map(|row| row.join(",")).collect();
     let mut count: BTreeMap<String, u32> = BTreeMap::new();

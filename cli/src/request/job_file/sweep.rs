@@ -1,4 +1,4 @@
-//! `[sweep]`: what is varied, and how the axes are joined.
+//! `[sweep]`: the axes, and how they are combined.
 
 use super::axis::{Axis, Choice};
 use super::fault::Fault;
@@ -10,37 +10,37 @@ use std::collections::BTreeSet;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The axes of a sweep, in the order of the file, and how they are joined.
+/// The axes of a sweep, in the order of the file, and how they are combined.
 #[derive(Debug)]
 pub struct Sweep {
-    /// At least one.
+    /// Axes, at least one.
     pub axes: Vec<Axis>,
-    /// How the axes are joined.
+    /// Combination of the axes.
     pub mode: Mode,
     place: Place,
 }
 
-/// How axes are joined.
+/// Combination of axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
-    /// All combinations; the last axis goes through its values fastest.
+    /// All combinations; the last axis varies fastest.
     #[default]
     Grid,
-    /// The first values of all axes together, then the second ones.
+    /// The first values of all axes, then the second ones, and so on.
     Zip,
 }
 
-/// One choice of each axis.
+/// A variant of a sweep: one choice of each axis.
 #[derive(Clone, Debug)]
 pub struct Variant<'a> {
-    /// A folder's name: short, unique in the sweep, and the same when the sweep gets more values.
+    /// Name of the folder: short, unique in the sweep, and unchanged when the sweep gets more values.
     pub name: String,
-    /// In the order of the axes.
+    /// Choices in the order of the axes.
     pub choices: Vec<&'a Choice>,
 }
 
 impl Sweep {
-    /// Read `[sweep]`, which stands in `text`.
+    /// Reads `[sweep]`, which is a part of `text`.
     pub fn read(table: &Spanned<DeValue<'_>>, text: &str) -> Result<Self, Fault> {
         let begin = table.span().start;
         let DeValue::Table(entries) = table.get_ref() else {
@@ -61,7 +61,7 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// Where it begins.
+    /// Returns the location of the table.
     pub fn place(&self) -> Place {
         self.place
     }
@@ -113,7 +113,7 @@ impl Sweep {
         Ok(())
     }
 
-    /// All variants: of a grid the last axis goes fastest.
+    /// Returns all variants. In a grid, the last axis varies fastest.
     pub fn variants(&self) -> Vec<Variant<'_>> {
         let labels = self.labels();
         let rows: Vec<Vec<&Choice>> = match self.mode {
@@ -131,7 +131,7 @@ impl Sweep {
         rows.into_iter().zip(names).map(|(choices, name)| Variant { name, choices }).collect()
     }
 
-    /// The axes' names as short as they stay different: `sigma_s` for `medium.fog.sigma_s`.
+    /// Returns the axes' names, shortened as far as they stay unique: `sigma_s` for `medium.fog.sigma_s`.
     pub fn labels(&self) -> Vec<String> {
         let tail = |name: &str, parts: usize| {
             let all: Vec<&str> = name.split('.').collect();
@@ -149,7 +149,7 @@ impl Sweep {
 }
 
 impl Variant<'_> {
-    /// These settings with the variant's choices.
+    /// Returns these settings with the variant's choices.
     pub fn apply(&self, settings: &SettingsArgs) -> SettingsArgs {
         let mut settings = settings.clone();
         self.choices.iter().for_each(|choice| choice.change.apply(&mut settings));

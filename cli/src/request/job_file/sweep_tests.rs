@@ -1,4 +1,4 @@
-//! What `[sweep]`, `[regions]` and `[contrasts]` mean, and what is refused of them.
+//! Tests of `[sweep]`, `[regions]` and `[contrasts]`: their meaning, and refused input.
 
 use super::*;
 

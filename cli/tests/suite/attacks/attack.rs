@@ -1,4 +1,4 @@
-//! What attackers do. Each says how it was refused.
+//! Attacks. Each returns a description of how it was refused.
 
 use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
@@ -11,13 +11,13 @@ use tokio::net::TcpStream;
 use super::peer::{self, Peer, announced, closed, connect, connect_from, message, outcome};
 use super::{Target, frames};
 
-/// Seconds until a connection is closed, which was opened at `begun`.
+/// Waits until a connection opened at `begun` is closed. Returns text with the seconds.
 async fn seconds_until_closed(stream: &mut TcpStream, begun: Instant) -> String {
     closed(stream).await;
     format!("closed after {} s", begun.elapsed().as_secs())
 }
 
-/// Sends what the other side takes, and says when it takes no more.
+/// Sends bytes. Returns false if the other side does not accept all of them.
 async fn push(stream: &mut TcpStream, bytes: &[u8]) -> bool {
     tokio::time::timeout(Duration::from_secs(10), stream.write_all(bytes)).await.is_ok_and(|sent| sent.is_ok())
 }
@@ -55,7 +55,7 @@ pub async fn silence(target: &mut Target) -> String {
 pub async fn half_a_handshake(target: &mut Target) -> String {
     let begun = Instant::now();
     let mut stream = connect(target.address()).await;
-    // A record of a handshake of 512 bytes, of which 100 come.
+    // 100 bytes of a handshake record of 512 bytes.
     let hello = [&[0x16, 3, 1, 2, 0, 1, 0, 1, 0xfc, 3, 3][..], &[7; 89]].concat();
     assert!(push(&mut stream, &hello).await);
     seconds_until_closed(&mut stream, begun).await
@@ -102,7 +102,7 @@ pub async fn trickle(target: &mut Target) -> String {
     let mut peer = Peer::connect(target.address()).await;
     let (response, mut send) = peer.begin("Jobs/Submit").await.expect("a call");
     let sends = tokio::spawn(async move {
-        // Of a message of a thousand bytes.
+        // Announce a message of a thousand bytes.
         let _ = send.send_data(announced(1000, &[]), false);
         loop {
             tokio::time::sleep(Duration::from_secs(1)).await;
@@ -234,7 +234,7 @@ pub async fn calls(target: &mut Target) -> String {
     format!("{outcomes:?}")
 }
 
-/// The digest of a file that nobody has, as a message that announces it.
+/// Returns a message that announces the digest of a file that nobody has.
 fn announces(digest: u8) -> Bytes {
     message(&[&[0x0a, 32][..], &[digest; 32]].concat())
 }
@@ -246,7 +246,7 @@ pub async fn uploads(target: &mut Target) -> String {
     for n in 0..200 {
         let (response, mut send) = peer.begin("Artifacts/Put").await.expect("a call");
         send.send_data(announces(n), false).expect("it is taken");
-        // A piece of a mebibyte, of which half comes.
+        // Half of a piece of one mebibyte.
         let piece = [&[0x12, 0x80, 0x80, 0x40][..], &vec![0; 1 << 19]].concat();
         send.reserve_capacity(1 << 20);
         let _ = send.send_data(announced((1 << 20) + 4, &piece), false);
@@ -256,7 +256,7 @@ pub async fn uploads(target: &mut Target) -> String {
     target.serves_others();
     let held = target.resident().saturating_sub(before);
     assert!(held < super::GROWTH, "{held} bytes are held for who sends nothing");
-    // Those that have a place; the others wait for one.
+    // This upload has a slot; the others wait for one.
     let (response, _send) = open.swap_remove(0);
     let refused = outcome(response).await;
     assert!(refused.starts_with("status 4"), "{refused}");
@@ -284,7 +284,7 @@ pub async fn unread_downloads(target: &mut Target) -> String {
         open.push(response);
     }
     tokio::time::sleep(Duration::from_secs(3)).await;
-    // An address has so many transfers, and others have theirs; from here nothing is fetched.
+    // The number of transfers per address is limited. This address has used all of its transfers; other addresses have their own.
     target.serves_others();
     let held = target.resident().saturating_sub(before);
     assert!(held < super::TRANSFERS + super::GROWTH, "{held} bytes are held for who reads nothing");

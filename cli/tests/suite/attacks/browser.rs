@@ -1,4 +1,4 @@
-//! Attacks over HTTP/1: by pages of other sites in a user's browser, and by programs.
+//! Attacks over HTTP/1: by other sites' pages in a user's browser, and by programs.
 
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};
@@ -15,7 +15,7 @@ fn expect(answer: &Answer, status: u16, code: &str) {
     assert_eq!((answer.status, answer.code().as_str()), (status, code));
 }
 
-/// A job that is still there.
+/// Checks that the job still exists.
 fn untouched(target: &Target) {
     let jobs = ask(target.address(), "GET /api/v1/jobs", &[], "").json();
     assert_eq!(jobs["jobs"][0]["state"], "queued");
@@ -25,7 +25,7 @@ pub async fn cross_site(target: &mut Target) -> String {
     target.submit();
     let post = |head: &[&str]| ask(target.address(), "POST /api/v1/jobs/control", head, CANCEL);
     let [json, own] = CHANGE;
-    // A form can send these and no others.
+    // Content types that a form can send.
     for kind in ["application/x-www-form-urlencoded", "text/plain", "multipart/form-data"] {
         expect(&post(&[&format!("Content-Type: {kind}")]), 400, "invalid");
     }
@@ -110,7 +110,7 @@ pub async fn forged(target: &mut Target) -> String {
     let form = ["Content-Type: application/x-www-form-urlencoded"];
     let login = ask(target.address(), "POST /login", &form, &format!("token={forged}"));
     assert_eq!((login.status, login.header("set-cookie")), (401, ""));
-    // The real one, and the cookie after the token has ended.
+    // Use the real token, and the cookie after the token has been revoked.
     let login = ask(target.address(), "POST /login", &form, &format!("token={real}"));
     let cookie = login.header("set-cookie").to_owned();
     assert_eq!((login.status, login.header("location")), (303, "/"));
@@ -147,7 +147,7 @@ pub async fn unread_feeds(target: &mut Target) -> String {
         stream.write_all(request.as_bytes()).await.expect("it listens");
         feeds.push(stream);
     }
-    // None of them reads; the farm goes on, job after job.
+    // None of these clients reads; the farm continues with jobs.
     for _ in 0..5 {
         target.submit();
         tokio::time::sleep(Duration::from_secs(1)).await;
@@ -165,7 +165,7 @@ pub async fn kept_open(target: &mut Target) -> String {
     let mut stream = connect(target.address()).await;
     let request = format!("GET /api/v1/me HTTP/1.1\r\nHost: {}\r\n\r\n", target.address());
     stream.write_all(request.as_bytes()).await.expect("it listens");
-    // The answer comes, and then nothing more is asked.
+    // The answer is sent, and no further request follows.
     tokio::time::timeout(Duration::from_secs(90), closed_after(&mut stream)).await.expect("closed in time");
     format!("closed after {} s", begun.elapsed().as_secs())
 }

@@ -1,6 +1,6 @@
-//! HTTP/2 by hand, for what no client does.
+//! Hand-made HTTP/2 frames, for input that no client library sends.
 
-/// What a client says first.
+/// Connection preface of a client.
 pub const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
 const HEADERS: u8 = 1;
@@ -8,18 +8,18 @@ const RST_STREAM: u8 = 3;
 const SETTINGS: u8 = 4;
 const PING: u8 = 6;
 
-/// One frame.
+/// Returns one frame.
 fn frame(kind: u8, flags: u8, stream: u32, payload: &[u8]) -> Vec<u8> {
     let length = &(payload.len() as u32).to_be_bytes()[1..];
     [length, &[kind, flags], &stream.to_be_bytes(), payload].concat()
 }
 
-/// The preface with empty settings.
+/// Returns the preface with empty settings.
 pub fn greeting() -> Vec<u8> {
     [PREFACE, &frame(SETTINGS, 0, 0, &[])].concat()
 }
 
-/// No settings at all, again.
+/// Returns an empty settings frame.
 pub fn settings() -> Vec<u8> {
     frame(SETTINGS, 0, 0, &[])
 }
@@ -28,7 +28,7 @@ pub fn ping() -> Vec<u8> {
     frame(PING, 0, 0, b"knocking")
 }
 
-/// The beginning of a call, whose end does not come.
+/// Returns the headers of a call, without the end of the stream.
 pub fn call(stream: u32, path: &str) -> Vec<u8> {
     let mut block = vec![0x83, 0x86];
     // Literals without indexing: `:path`, `:authority`, `content-type`, `te`.
@@ -45,7 +45,7 @@ pub fn call(stream: u32, path: &str) -> Vec<u8> {
     frame(HEADERS, end_of_headers, stream, &block)
 }
 
-/// Takes it back.
+/// Returns a frame that resets a stream.
 pub fn reset(stream: u32) -> Vec<u8> {
     let cancel = 8u32;
     frame(RST_STREAM, 0, stream, &cancel.to_be_bytes())

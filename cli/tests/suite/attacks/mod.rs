@@ -1,7 +1,7 @@
-//! Whoever reaches the port may try: each attack is refused with a clear word or a closed connection, the farm serves others
-//! during and after it, and its memory stays what it was.
+//! Attacks on the coordinator's port. Each attack must be refused with a clear message or a closed connection. The farm must serve
+//! others during and after it, and its memory must not grow.
 //!
-//! Attackers come from 127.0.0.2 and up, others from 127.0.0.1: what one address may have is a matter of its own.
+//! Attackers come from 127.0.0.2 and up, other clients from 127.0.0.1, because limits per address are tested on their own.
 #![cfg(target_os = "linux")]
 
 mod attack;
@@ -13,17 +13,17 @@ use std::time::Duration;
 
 use crate::common::{Place, Running};
 
-/// Bytes by which the coordinator may have grown after an attack: buffers of connections that are gone go back to the allocator,
-/// and not all of them to the system.
+/// Tolerated growth of the coordinator's memory after an attack, in bytes. Buffers of closed connections go back to the allocator,
+/// which does not return all of them to the system.
 const GROWTH: u64 = 64 << 20;
-/// What the transfers on one connection may have in memory, as the limits say.
+/// Memory limit of the transfers on one connection, in bytes.
 const TRANSFERS: u64 = 16 * (8 << 20);
 
 /// A coordinator under attack.
 pub struct Target {
     place: Place,
     coordinator: Running,
-    /// With `http://` or `https://`.
+    /// URL with `http://` or `https://`.
     url: String,
 }
 
@@ -44,12 +44,12 @@ impl Target {
         Self { place, coordinator, url }
     }
 
-    /// Host and port.
+    /// Returns host and port.
     pub fn address(&self) -> &str {
         self.url.split_once("://").expect("a scheme").1
     }
 
-    /// Somebody else asks.
+    /// Checks that another client gets answers.
     #[track_caller]
     fn serves_others(&mut self) {
         let identity = match (self.url.starts_with("https"), self.place.path("dora.token").exists()) {
@@ -61,25 +61,25 @@ impl Target {
         assert!(self.coordinator.is_running());
     }
 
-    /// Queues a job, which stays queued: there is no worker.
+    /// Queues a job, which stays queued because there is no worker.
     #[track_caller]
     fn submit(&self) {
         self.place.run(&format!("submit fog.mgf --frames 1 --spp 1 --server {}", self.url)).exits(0);
     }
 
-    /// The token of somebody.
+    /// Reads a user's token.
     fn token(&self, name: &str) -> String {
         let text = std::fs::read_to_string(self.place.path(&format!("{name}.token"))).expect("a token");
         text.lines().next().expect("a line").trim().to_owned()
     }
 
-    /// Ends what somebody was given.
+    /// Revokes a user's token.
     #[track_caller]
     fn revoke(&self, name: &str) {
         self.place.run(&format!("ca revoke {name}")).exits(0);
     }
 
-    /// Bytes in memory.
+    /// Returns the resident memory in bytes.
     fn resident(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.coordinator.id())).expect("it runs");
         let line = status.lines().find(|line| line.starts_with("VmRSS:")).expect("its size");
@@ -88,7 +88,7 @@ impl Target {
     }
 }
 
-/// One attack against a coordinator of its own. It says how it was refused.
+/// Runs one attack against a new coordinator. Prints how the attack was refused.
 #[track_caller]
 fn withstands(name: &str, options: &str, growth: u64, attack: impl AsyncFnOnce(&mut Target) -> String) {
     let mut target = Target::start(options);
@@ -98,7 +98,7 @@ fn withstands(name: &str, options: &str, growth: u64, attack: impl AsyncFnOnce(&
         tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().expect("a runtime");
     let refused = runtime.block_on(attack(&mut target));
     target.serves_others();
-    // What the attack held goes with it.
+    // Close everything that the attack still holds open.
     runtime.shutdown_timeout(Duration::from_secs(1));
     std::thread::sleep(Duration::from_secs(1));
     target.serves_others();
@@ -135,7 +135,7 @@ attacks! {
     guessed_tokens("--identity farm.pem --token-file femc-ca/tokens", GROWTH) = attack::guesses;
 }
 
-/// Attacks that last until the coordinator's patience is over, side by side: a thread and a coordinator for each.
+/// Attacks that last until the coordinator times out. They run in parallel, each with a thread and a coordinator of its own.
 macro_rules! waiting_attacks {
     ($($name:ident($options:expr, $growth:expr) = $attack:expr;)*) => {
         #[test]

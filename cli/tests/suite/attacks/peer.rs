@@ -1,4 +1,4 @@
-//! A client that does as it is told, and no more.
+//! A client for attacks, which only does what the test asks for.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
@@ -9,10 +9,10 @@ use h2::client::{ResponseFuture, SendRequest};
 use tokio::io::AsyncReadExt as _;
 use tokio::net::{TcpSocket, TcpStream};
 
-/// Longer than anything is held open for.
+/// Timeout that is longer than every timeout of the coordinator.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A connection from an attacker's address.
+/// Connects from an attacker's address.
 pub async fn connect_from(from: Ipv4Addr, address: &str) -> std::io::Result<TcpStream> {
     let socket = TcpSocket::new_v4()?;
     socket.set_reuseaddr(true)?;
@@ -20,19 +20,19 @@ pub async fn connect_from(from: Ipv4Addr, address: &str) -> std::io::Result<TcpS
     socket.connect(address.parse().expect("an address")).await
 }
 
-/// The same from 127.0.0.2.
+/// Connects from 127.0.0.2.
 pub async fn connect(address: &str) -> TcpStream {
     connect_from(Ipv4Addr::new(127, 0, 0, 2), address).await.expect("a connection")
 }
 
-/// Waits until the other side closes; what came before does not matter.
+/// Waits until the other side closes, and ignores data before that.
 pub async fn closed(stream: &mut TcpStream) {
     let mut bytes = [0; 1 << 12];
     let end = async { while stream.read(&mut bytes).await.is_ok_and(|count| count > 0) {} };
     tokio::time::timeout(PATIENCE, end).await.expect("the connection is closed");
 }
 
-/// An HTTP/2 connection whose frames are looked after, until dropped.
+/// An HTTP/2 connection whose frames are handled until this value is dropped.
 pub struct Peer {
     pub calls: SendRequest<Bytes>,
     connection: tokio::task::JoinHandle<()>,
@@ -46,13 +46,13 @@ impl Peer {
     pub async fn on(stream: TcpStream) -> Self {
         let (calls, connection) = h2::client::Builder::new().handshake(stream).await.expect("HTTP/2");
         let connection = tokio::spawn(async move {
-            // How it ends is the attack's matter.
+            // The attack itself checks how the connection ends.
             let _ = connection.await;
         });
         Self { calls, connection }
     }
 
-    /// From now on nothing is answered, as if the machine had stopped.
+    /// Stops answering, as if the machine had stopped.
     pub fn stop(&self) {
         self.connection.abort();
     }
@@ -68,29 +68,29 @@ impl Peer {
         self.calls.send_request(request, false)
     }
 
-    /// A whole call with these bytes; how it ended.
+    /// Makes a whole call with these bytes. Returns how it ended.
     pub async fn call(&mut self, call: &str, body: Bytes) -> String {
         let (response, mut send) = match self.begin(call).await {
             Ok(begun) => begun,
             Err(error) => return format!("closed: {error}"),
         };
-        // It may be refused before all is sent.
+        // The call may be refused before all bytes are sent.
         let _ = send.send_data(body, true);
         outcome(response).await
     }
 }
 
-/// A message with the five bytes before it.
+/// Returns a message with its prefix of five bytes.
 pub fn message(body: &[u8]) -> Bytes {
     announced(body.len() as u32, body)
 }
 
-/// The same, whatever it says of its length.
+/// Returns a message whose prefix announces any given length.
 pub fn announced(length: u32, body: &[u8]) -> Bytes {
     [&[0], &length.to_be_bytes()[..], body].concat().into()
 }
 
-/// gRPC's code and message, or how the stream was closed.
+/// Returns gRPC's code and message, or how the stream was closed.
 pub async fn outcome(response: ResponseFuture) -> String {
     let answer = tokio::time::timeout(PATIENCE, response).await.expect("an answer");
     let response = match answer {

@@ -1,4 +1,4 @@
-//! What a service says over HTTP.
+//! HTTP requests to services.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use femc_metrics::testing::Samples;
 
-/// A port that was free a moment ago.
+/// Returns a port that was free a moment ago.
 pub fn free_port() -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     listener.local_addr().expect("its address").port()
 }
 
-/// Status and body; `None`: nobody answers.
+/// Returns status and body; `None`: there is no answer.
 pub fn get(port: u16, path: &str) -> Option<(u16, String)> {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
     stream.set_read_timeout(Some(Duration::from_secs(20))).ok()?;
@@ -23,7 +23,7 @@ pub fn get(port: u16, path: &str) -> Option<(u16, String)> {
     Some((head.split_whitespace().nth(1)?.parse().ok()?, body.to_owned()))
 }
 
-/// The page of metrics, read strictly.
+/// Returns the metrics page, parsed strictly.
 #[track_caller]
 pub fn metrics(port: u16) -> Samples {
     let (status, page) = get(port, "/metrics").expect("an answer");
@@ -31,16 +31,16 @@ pub fn metrics(port: u16) -> Samples {
     Samples::read(&page).unwrap_or_else(|fault| panic!("{fault}\n{page}"))
 }
 
-/// An answer.
+/// An HTTP answer.
 pub struct Answer {
     pub status: u16,
-    /// Lines of the head, in lower case up to the colon.
+    /// Header lines, with names in lower case.
     pub head: Vec<(String, String)>,
     pub body: Vec<u8>,
 }
 
 impl Answer {
-    /// The value of a header; empty: it has none.
+    /// Returns the value of a header; empty: there is none.
     pub fn header(&self, name: &str) -> &str {
         self.head.iter().find(|(known, _)| known == name).map_or("", |(_, value)| value)
     }
@@ -51,18 +51,18 @@ impl Answer {
         serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{}: {error}: {text}", self.status))
     }
 
-    /// The code of a refusal.
+    /// Returns the error code of a refusal.
     #[track_caller]
     pub fn code(&self) -> String {
         self.json()["error"]["code"].as_str().expect("a code").to_owned()
     }
 }
 
-/// Sends a request as it is, one that ends the connection, and reads the answer.
+/// Sends raw request bytes, which must ask for the end of the connection, and reads the answer.
 pub fn send(address: &str, request: &[u8]) -> Answer {
     let mut stream = TcpStream::connect(address).expect("a connection");
     stream.set_read_timeout(Some(Duration::from_secs(40))).expect("a timeout");
-    // It may be refused before all is sent.
+    // The request may be refused before all bytes are sent.
     let _ = stream.write_all(request);
     let mut bytes = Vec::new();
     let mut piece = [0; 1 << 14];
@@ -77,7 +77,7 @@ pub fn send(address: &str, request: &[u8]) -> Answer {
     Answer { status, head: head.collect(), body: bytes[end + 4..].to_vec() }
 }
 
-/// A request by its first line, with these lines of its head, and a body.
+/// Sends a request with this first line, these header lines and this body.
 pub fn ask(address: &str, line: &str, head: &[&str], body: &str) -> Answer {
     let host =
         if head.iter().any(|line| line.starts_with("Host:")) { String::new() } else { format!("Host: {address}\r\n") };
@@ -88,5 +88,5 @@ pub fn ask(address: &str, line: &str, head: &[&str], body: &str) -> Answer {
     send(address, request.as_bytes())
 }
 
-/// Head of what changes something.
+/// Headers of a request that changes something.
 pub const CHANGE: [&str; 2] = ["Content-Type: application/json", "X-Femc: 1"];

@@ -1,5 +1,5 @@
-//! The real binary on small scenes in a temporary folder.
-#![allow(dead_code)] // every test file uses its own part of this
+//! Helpers to run the real binary on small scenes in a temporary folder.
+#![allow(dead_code)] // each test file uses only a part of this
 
 pub mod http;
 pub mod outage;
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-/// Longer than anything here takes on a loaded machine.
+/// Timeout that is longer than any step takes on a loaded machine.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A foggy box, 32 x 32 pixels, a clip of 8 frames in which the fog thickens.
@@ -65,7 +65,7 @@ v l =
 f i j k l
 ";
 
-/// A coordinator on a free port or this one, and its address.
+/// Starts a coordinator on this port (0: a free one). Returns it and its address.
 pub fn coordinator(place: &Place, port: u16) -> (Running, String) {
     let mut coordinator =
         place.start(&format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts"));
@@ -74,7 +74,7 @@ pub fn coordinator(place: &Place, port: u16) -> (Running, String) {
     (coordinator, url)
 }
 
-/// Queue `fog.mgf`; the job's number.
+/// Queues `fog.mgf`. Returns the job's number.
 pub fn submit(place: &Place, url: &str, settings: &str) -> String {
     let ran = place.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
     let id = ran.stdout().lines().last().expect("a job id").to_owned();
@@ -82,24 +82,24 @@ pub fn submit(place: &Place, url: &str, settings: &str) -> String {
     id
 }
 
-/// A job's status.
+/// Returns a job's status.
 pub fn status(place: &Place, url: &str, job: &str) -> serde_json::Value {
     place.run(&format!("status {job} --json --server {url}")).exits(0).json()
 }
 
-/// The farm's workers.
+/// Returns the farm's workers.
 pub fn workers(place: &Place, url: &str) -> serde_json::Value {
     place.run(&format!("workers --json --server {url}")).exits(0).json()
 }
 
-/// Share of the job's samples that are done.
+/// Returns the finished share of the job's samples.
 pub fn share(place: &Place, url: &str, job: &str) -> f64 {
     let status = status(place, url, job);
     let number = |key: &str| status[key].as_f64().expect("a number");
     number("samples") / number("samples_most")
 }
 
-/// Samples that are drawn.
+/// Returns the number of drawn samples.
 pub fn drawn(place: &Place, url: &str, job: &str) -> f64 {
     status(place, url, job)["samples"].as_f64().expect("a number")
 }
@@ -125,29 +125,29 @@ impl Place {
         std::fs::write(self.path(name), text).expect("the file is written");
     }
 
-    /// `femc` with the words of `line`, in this folder; no environment of the caller's reaches it.
+    /// Returns the command `femc` with the words of `line`, in this folder, with a clean environment.
     pub fn command(&self, line: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_femc"));
         command.args(line.split_whitespace()).current_dir(self.folder.path());
         command.env_remove("FEMC_IDENTITY").env_remove("FEMC_TOKEN_FILE");
         command.env_remove("FEMC_SERVER").env_remove("FEMC_LOG").env_remove("FEMC_FAULT").stdin(Stdio::null());
-        // Out of sight: a name that begins with a dot.
+        // Hidden, because the name begins with a dot.
         command.env("XDG_STATE_HOME", self.folder.path().join(".state"));
         command
     }
 
-    /// Run to the end.
+    /// Runs a command to its end.
     pub fn run(&self, line: &str) -> Ran {
         let output = self.command(line).output().expect("femc starts");
         Ran { line: line.to_owned(), output }
     }
 
-    /// Start, its output to the files `NAME.out` and `NAME.err`.
+    /// Starts a command with its output in the files `NAME.out` and `NAME.err`.
     pub fn start_as(&self, name: &str, line: &str) -> Running {
         self.start_command(name, &mut self.command(line))
     }
 
-    /// The same of a command.
+    /// Like [`Self::start_as`], for a prepared command.
     pub fn start_command(&self, name: &str, command: &mut Command) -> Running {
         let file = |kind| std::fs::File::create(self.path(&format!("{name}.{kind}"))).expect("a file");
         let line = format!("{command:?}");
@@ -155,18 +155,18 @@ impl Place {
         Running { line, child: Some(child) }
     }
 
-    /// What is in a file, as far as it is there.
+    /// Returns the current content of a file.
     pub fn read(&self, name: &str) -> String {
         std::fs::read_to_string(self.path(name)).unwrap_or_default()
     }
 
-    /// Start; what it says is in the message of a failed test.
+    /// Starts a command. A failed test prints its output.
     pub fn start(&self, line: &str) -> Running {
         Running::of(&mut self.command(line))
     }
 }
 
-/// A coordinator on a free port with its log in `place` and these artifacts, and its address.
+/// Starts a coordinator on a free port with its log in `place` and this artifact store. Returns it and its address.
 pub fn coordinator_with(place: &Place, artifacts: &str) -> (Running, String) {
     let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {artifacts}");
     let mut coordinator = place.start(&line);
@@ -181,7 +181,7 @@ pub struct Ran {
 }
 
 impl Ran {
-    /// A run of a command that was put together by hand.
+    /// Creates the result of a command that was run by other means.
     pub fn new(line: &str, output: Output) -> Self {
         Self { line: line.to_owned(), output }
     }
@@ -198,7 +198,7 @@ impl Ran {
         String::from_utf8_lossy(&self.output.stderr).into_owned()
     }
 
-    /// Claim the exit code; on failure show what was said.
+    /// Asserts the exit code; prints the output on failure.
     #[track_caller]
     pub fn exits(self, code: i32) -> Self {
         assert_eq!(
@@ -212,33 +212,33 @@ impl Ran {
         self
     }
 
-    /// The JSON on stdout.
+    /// Returns the JSON on stdout.
     #[track_caller]
     pub fn json(&self) -> serde_json::Value {
         serde_json::from_str(&self.stdout()).unwrap_or_else(|e| panic!("{e}: {}", self.stdout()))
     }
 }
 
-/// A process that is killed when the test ends, however it ends.
+/// A process that is killed when the test ends.
 pub struct Running {
     line: String,
     child: Option<Child>,
 }
 
 impl Running {
-    /// Start a command, its output caught.
+    /// Starts a command and captures its output.
     pub fn of(command: &mut Command) -> Self {
         let line = format!("{command:?}");
         let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("femc starts");
         Self { line, child: Some(child) }
     }
 
-    /// The process's number.
+    /// Returns the process id.
     pub fn id(&self) -> u32 {
         self.child.as_ref().expect("not waited for yet").id()
     }
 
-    /// Kill it, and return all that it has said on stderr.
+    /// Kills the process, and returns its whole stderr.
     pub fn kill_for_stderr(&mut self) -> String {
         self.child().kill().expect("killed");
         self.end().stderr()
@@ -247,12 +247,12 @@ impl Running {
         self.child.as_mut().expect("not waited for yet")
     }
 
-    /// Whether it still runs.
+    /// Returns whether the process is running.
     pub fn is_running(&mut self) -> bool {
         self.child().try_wait().expect("its state").is_none()
     }
 
-    /// Wait until `condition`, while the process runs.
+    /// Waits until `condition` holds, while the process runs.
     #[track_caller]
     pub fn wait_until(&mut self, what: &str, mut condition: impl FnMut() -> bool) {
         let start = Instant::now();
@@ -267,7 +267,7 @@ impl Running {
         }
     }
 
-    /// SIGKILL, at once; false if the process had ended before.
+    /// Sends SIGKILL. Returns false if the process had ended before.
     pub fn kill(&mut self) -> bool {
         let ran = self.is_running();
         if let Some(mut child) = self.child.take() {
@@ -277,26 +277,26 @@ impl Running {
         ran
     }
 
-    /// Send a signal by its name.
+    /// Sends a signal by its name.
     pub fn signal(&mut self, name: &str) {
         let pid = self.child().id().to_string();
         let sent = Command::new("kill").args(["-s", name, &pid]).status().expect("kill runs");
         assert!(sent.success(), "the signal is delivered");
     }
 
-    /// Wait for its end.
+    /// Waits for the end of the process.
     pub fn end(&mut self) -> Ran {
         let child = self.child.take().expect("not waited for yet");
         Ran { line: self.line.clone(), output: child.wait_with_output().expect("its output") }
     }
 
-    /// The address that a coordinator prints.
+    /// Returns the address that a coordinator prints.
     pub fn address(&mut self) -> String {
         let line = self.first_line();
         line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned()
     }
 
-    /// The first line that it prints on stdout.
+    /// Returns the first line on stdout.
     pub fn first_line(&mut self) -> String {
         use std::io::{BufRead, BufReader};
         let stdout = self.child().stdout.take().expect("stdout is a pipe");
@@ -315,7 +315,7 @@ impl Drop for Running {
     }
 }
 
-/// The names in a folder that do not begin with a dot, sorted.
+/// Returns the sorted names in a folder that do not begin with a dot.
 pub fn names(folder: &Path) -> Vec<String> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let mut names: Vec<String> =
@@ -325,27 +325,27 @@ pub fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// An image's size and values.
+/// Size and values of an image.
 pub struct Film {
     pub width: u32,
     pub height: u32,
     pub rgb: Vec<f32>,
 }
 
-/// The image in a file.
+/// Reads the image in a file.
 #[track_caller]
 pub fn film(path: &Path) -> Film {
     let image = femc_film::exr::read(path).expect("an EXR file").image;
     Film { width: image.width, height: image.height, rgb: image.pixels.concat() }
 }
 
-/// The bits of all values in a file.
+/// Returns the bits of all values in a file.
 #[track_caller]
 pub fn pixels(path: &Path) -> Vec<u32> {
     film(path).rgb.iter().map(|value| value.to_bits()).collect()
 }
 
-/// A digest of values' bits, to print.
+/// Returns a short digest of values, for printing.
 pub fn digest(bits: &[u32]) -> String {
     let bytes: Vec<u8> = bits.iter().flat_map(|bits| bits.to_le_bytes()).collect();
     blake3::hash(&bytes).to_hex().to_string()

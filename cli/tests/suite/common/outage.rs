@@ -1,13 +1,13 @@
-//! A server that can be made to go away, seen from those who reach it through here.
+//! A relay to a server that simulates outages of the server.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// Between clients and a server, on threads of its own.
+/// A relay between clients and a server, on threads of its own.
 pub struct Outage {
-    /// Where clients find the server.
+    /// URL of the relay for clients.
     pub url: String,
     state: Arc<State>,
 }
@@ -20,7 +20,7 @@ struct State {
 }
 
 impl Outage {
-    /// In front of the server at `url`, like `http://127.0.0.1:9000`.
+    /// Creates a relay to the server at `url`, like `http://127.0.0.1:9000`.
     pub fn of(url: &str) -> Self {
         let server = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
@@ -35,17 +35,17 @@ impl Outage {
     pub fn begin(&self) {
         let connections = self.state.connections.lock().expect("no panic").take();
         for connection in connections.into_iter().flatten() {
-            // It may be over already.
+            // The connection may be closed already.
             let _ = connection.shutdown(Shutdown::Both);
         }
     }
 
-    /// The server is back.
+    /// Ends the outage.
     pub fn end(&self) {
         *self.state.connections.lock().expect("no panic") = Some(Vec::new());
     }
 
-    /// Connections refused so far.
+    /// Returns the number of refused connections.
     pub fn refused(&self) -> usize {
         self.state.refused.load(Ordering::SeqCst)
     }

@@ -1,4 +1,4 @@
-//! A way to a server that can be held up, or cut: seen from those who go through here.
+//! A proxy to a server that can delay or break connections.
 
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// Which way bytes go.
+/// Direction of bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     /// To the server.
@@ -15,9 +15,9 @@ pub enum Way {
     Down,
 }
 
-/// Between clients and a server. What is held up is late, and not lost.
+/// A proxy between clients and a server. Delayed bytes are not lost.
 pub struct Proxy {
-    /// Where clients find the server.
+    /// URL of the proxy for clients.
     pub url: String,
     state: Arc<State>,
 }
@@ -39,7 +39,7 @@ impl State {
 }
 
 impl Proxy {
-    /// To the server at `url`.
+    /// Creates a proxy to the server at `url`.
     pub fn to(url: &str) -> Self {
         let target = url.trim_start_matches("http://").to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
@@ -61,17 +61,17 @@ impl Proxy {
         Self { url, state }
     }
 
-    /// From now on nothing passes, and nobody hears of it.
+    /// Holds back all bytes in both directions; connections stay open.
     pub fn freeze(&self) {
         [Way::Up, Way::Down].into_iter().for_each(|way| self.freeze_way(way));
     }
 
-    /// The same one way.
+    /// Holds back all bytes in one direction.
     pub fn freeze_way(&self, way: Way) {
         self.state.is_frozen(way).store(true, Ordering::SeqCst);
     }
 
-    /// What was kept back arrives, and all passes again.
+    /// Delivers the held bytes and stops delaying.
     pub fn thaw(&self) {
         [Way::Up, Way::Down].into_iter().for_each(|way| self.state.is_frozen(way).store(false, Ordering::SeqCst));
     }
@@ -79,7 +79,7 @@ impl Proxy {
     /// Breaks all connections; new ones can be made.
     pub fn cut(&self) {
         for stream in self.state.streams.lock().expect("no panic").drain(..) {
-            // It may be over already.
+            // The connection may be closed already.
             let _ = stream.shutdown(Shutdown::Both);
         }
     }

@@ -1,15 +1,15 @@
-//! Materials that must not return more light than they receive.
+//! Tests of materials that must not return more light than they receive.
 
 use super::{place, said};
 use crate::common::film;
 
-/// A lamp of 1000 lm/m2 has 1000 / pi cd/m2: no pixel of a closed room that gains nothing is brighter.
+/// Luminance of a lamp of 1000 lm/m2: 1000 / pi cd/m2. In a closed room without energy gain no pixel is brighter.
 const LAMP: f32 = 1000.0 / std::f32::consts::PI;
 
 #[test]
 fn a_room_in_saturated_red_gloss_is_no_brighter_than_its_lamp_by_any_method() {
     let place = place();
-    // The first pass is right to a few percent.
+    // The first pass is exact to a few percent.
     for (method, most) in [("pt", 1.005), ("fem", 1.03), ("femc", 1.005)] {
         let line = format!("render red-gloss.mgf -o {method}.exr --spp 16 --method {method} --json");
         let summary = place.run(&line).exits(0).json();
@@ -27,7 +27,7 @@ fn a_color_that_asks_for_more_light_than_there_is_is_said_once() {
     assert_eq!(said(&ran).matches("2.758 times the red light").count(), 1, "{}", said(&ran));
 }
 
-/// A closed box whose walls shine and return all of the light: no number of iterations brings its light to rest.
+/// A closed box whose walls emit light and reflect all of it: its light never converges, after any number of iterations.
 const WHITE_BOX: &str = "camera main =\n origin .3 .2 .1\n target 1 .4 0\n fov 60\n film 16 16\nm wall =\n sides 2\n c\n rd 1\n\
     ed 3.14159265358979\nv a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\n\
     prism a b c d -2\n";
@@ -42,7 +42,7 @@ fn a_first_pass_that_cannot_be_trusted_fails_with_what_to_use_instead() {
         assert!(words.contains("solution cannot be trusted") && words.contains("use `--method pt`"), "{words}");
         assert!(!place.path(&format!("{method}.exr")).exists());
     }
-    // Path tracing needs none, and the solution can still be looked at.
+    // Path tracing needs no first pass, and the solution can still be viewed.
     place.run("render white.mgf -o pt.exr --spp 4 --method pt --max-depth 20").exits(0);
     let report = place.run("field white.mgf -o white.glb --json").exits(0).json();
     assert!(report["untrusted"].as_str().is_some_and(|reason| reason.contains("come to rest")), "{report}");

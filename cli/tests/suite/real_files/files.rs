@@ -1,9 +1,9 @@
-//! Names of files, images, and errors that list all that is missing.
+//! Tests of file names, images, and errors that list all missing names.
 
 use super::{place, said};
 use crate::common::{Place, coordinator, film, names, pixels};
 
-/// Faults of a scene by `check --json`, as `line: message`.
+/// Returns the faults of a scene from `check --json`, as `line: message`.
 fn faults(place: &Place, scene: &str) -> Vec<String> {
     let report = place.run(&format!("check {scene} --json")).exits(1).json();
     let faults = report["faults"].as_array().expect("a list");
@@ -12,7 +12,7 @@ fn faults(place: &Place, scene: &str) -> Vec<String> {
     faults.iter().map(text).collect()
 }
 
-/// The means of red, green and blue of a rendered scene.
+/// Returns the mean red, green and blue of a rendered scene.
 fn means(place: &Place, scene: &str) -> [f64; 3] {
     let out = scene.replace(".mgf", ".exr");
     place.run(&format!("render {scene} -o out-{out} --spp 4")).exits(0);
@@ -21,7 +21,7 @@ fn means(place: &Place, scene: &str) -> [f64; 3] {
     [0, 1, 2].map(|k| sum(k) / (values.len() / 3) as f64)
 }
 
-/// Whether the means of a picture are the wanted ones, up to the noise of sampling.
+/// Returns whether the means of a picture equal the expected ones up to sampling noise.
 fn are_near(means: [f64; 3], wanted: [f64; 3], tolerance: f64) -> bool {
     means.iter().zip(wanted).all(|(mean, wanted)| (mean - wanted).abs() < tolerance)
 }
@@ -43,7 +43,7 @@ fn all_undefined_materials_are_listed_at_once_with_their_definition() {
         assert!(ran.stdout().contains(&shown), "{}", ran.stdout());
     }
     assert!(ran.stdout().contains("undefined.mgf: 5 errors"), "{}", ran.stdout());
-    // Rendering names the first and where to find the others.
+    // `render` prints the first error and where to find the others.
     let ran = place.run("render undefined.mgf -o x.exr").exits(1);
     let wanted =
         ["undefined.mgf:8:3: undefined material `oak`", "; 4 more errors: `femc check undefined.mgf` lists them"];
@@ -74,7 +74,7 @@ fn a_file_name_with_blanks_needs_quotes_and_the_error_shows_them() {
     }
 }
 
-/// A scene with an include, a lamp and a texture whose names have blanks.
+/// Writes a scene with an include, a lamp and a texture whose names have blanks.
 fn quoted(place: &Place) {
     let lamp = place.read("blank-lamp.mgf").replace("my lamp.ies", "\"my lamp.ies\"");
     let texture = place.read("blank-texture.mgf").replace("my wood.png", "\"my wood.png\"");
@@ -147,7 +147,7 @@ fn a_texture_above_1_on_a_reflectance_is_said_once() {
     let text = place.read("exr-gray-y.mgf").replace("\ted 3.14159265\n\tmap_ed", "\trd .5\n\tmap_rd");
     place.write("factors.mgf", &text);
     let above = place.run("check factors.mgf").exits(0);
-    // The image of the reports stays below 1.
+    // The image from the bug reports stays below 1.
     assert!(!above.stdout().contains("values above 1"), "{}", above.stdout());
     place.run("render exr-gray-y.mgf -o bright.exr --spp 1 --set material.picture.ed=1000").exits(0);
     place.write(

@@ -1,16 +1,16 @@
-//! Lamps whose light no method finds, and frames that met no light.
+//! Tests of lamps whose light no method finds, and of frames that met no light.
 
 use super::{place, said};
 use crate::common::Place;
 use femc_film::exr;
 use serde_json::Value;
 
-/// A floor and a camera that looks at it from below the lamp, whose middle is at 0 0 1.
+/// A floor and a camera that looks at it from below the lamp, whose center is at 0 0 1.
 const FLOOR: &str = "camera main =\n\torigin 0 0 .7\n\ttarget 0 0 0\n\tup 0 1 0\n\tfov 70\n\tfilm 16 16\n\
     m floor =\n\tsides 2\n\trd .5\nv f0 =\n\tp -2 -2 0\nv f1 =\n\tp 2 -2 0\nv f2 =\n\tp 2 2 0\nv f3 =\n\tp -2 2 0\nm floor\nf f0 f1 f2 f3\n\
     v middle =\n\tp 0 0 1\nv top =\n\tp 0 0 1.15\nv bottom =\n\tp 0 0 .85\n";
 
-/// Lamps of at most 5 cm about the middle.
+/// Lamps of at most 5 cm around the center.
 const LAMPS: [(&str, &str); 5] = [
     ("point", "ies lamp-point.ies -t 0 0 1\n"),
     ("sized luminaire", "ies lamp-box.ies -t 0 0 1\n"),
@@ -55,7 +55,7 @@ const AROUND: [(&str, &str, &str); 16] = [
     ("can with a hole", "sides 2\n\trd .5", CAN),
 ];
 
-/// Lines of `check` about lamps that light nothing.
+/// Returns the lines of `check` about lamps that light nothing.
 fn hidden(place: &Place, file: &str) -> Vec<String> {
     let json = place.run(&format!("check {file} --json")).exits(0).json();
     let faults = json["faults"].as_array().expect("faults").clone();
@@ -92,7 +92,7 @@ fn a_point_in_solid_glass_is_named_and_a_bulb_is_found() {
     assert!((found / 12.4 - 1.0).abs() < 0.05, "{found}");
 }
 
-/// Every lamp in every enclosure has a warning if and only if its picture is black.
+/// Checks that every lamp in every enclosure has a warning if and only if its picture is black.
 #[test]
 fn a_lamp_is_named_just_where_no_sample_meets_its_light() {
     let place = place();
@@ -128,7 +128,7 @@ fn a_lamp_is_named_just_where_no_sample_meets_its_light() {
     assert!((20..40).contains(&black), "{black} of 80 are black");
 }
 
-/// A room of 4 m with a ceiling at 3 m.
+/// Returns a room of 4 m with a ceiling at 3 m.
 fn room(lamp: &str) -> String {
     let plate = |name: &str, z: f64| {
         format!(
@@ -154,7 +154,7 @@ fn a_luminaire_above_the_ceiling_or_in_a_wall_is_named() {
         place.write("room.mgf", &room(lamp));
         hidden(&place, "room.mgf")
     };
-    // Another lamp lights the room, so that the camera is not in the dark.
+    // A second lamp lights the room, so that the camera sees light.
     let lit = "ies down.ies -t 0 0 2.5\n";
     let named = |lamp: &str, words: &str| {
         let found = in_room(&format!("{lit}{lamp}"));
@@ -172,14 +172,14 @@ fn a_luminaire_above_the_ceiling_or_in_a_wall_is_named() {
     place.write("pavilion.mgf", &pavilion);
     let found = hidden(&place, "pavilion.mgf");
     assert!(found.len() == 1 && found[0].contains("only surfaces within"), "{found:?}");
-    // Light that comes in by an opening is not excluded.
+    // Light that enters through an opening is not excluded.
     let through =
         room("m lamp =\n\tsides 1\n\ted 1000\nv o =\n\tp 0 -5 2\nm lamp\nsph o .2\n").replace("f f0 f1 c1 c0\n", "");
     place.write("open.mgf", &through);
     assert_eq!(hidden(&place, "open.mgf"), [""; 0]);
 }
 
-/// A floor that reflects on one side alone: the other block has met no light.
+/// Renders a floor that reflects on one side only: one block meets no light.
 #[test]
 fn blocks_without_light_are_counted_on_the_terminal_and_in_json() {
     let place = place();
@@ -191,14 +191,14 @@ fn blocks_without_light_are_counted_on_the_terminal_and_in_json() {
     assert_eq!([&again["blocks"], &again["unlit_blocks"]], [2, 1], "{again}");
     assert_eq!([&again["frames"][0]["blocks"], &again["frames"][0]["unlit_blocks"]], [2, 1]);
     assert!(again["relative_error"].as_f64().is_some_and(|error| error > 0.0), "{again}");
-    // A frame that is there is known by its file.
+    // An existing frame is recognized by its file.
     place.run("render glass-globe.mgf -o dark.exr --spp 2 --method pt").exits(0);
     let again = place.run("render glass-globe.mgf -o dark.exr --spp 2 --method pt --json").exits(0).json();
     assert_eq!(
         (&again["rendered"], &again["unlit_blocks"], &again["relative_error"]),
         (&0.into(), &4.into(), &Value::Null)
     );
-    // Light that never comes does not converge.
+    // The error never converges without light.
     let ran = place.run("render glass-globe.mgf -o goal.exr --error .1 --method pt").exits(0);
     assert!(
         said(&ran).contains("no sample met light in any") && !said(&ran).contains("relative error"),
@@ -214,7 +214,7 @@ fn the_first_pass_names_the_share_of_light_that_goes_through_solids() {
     assert!(ran.stderr().contains("100 % of the lamps' light (1257 lm) goes through clear solids"), "{}", ran.stderr());
     let ran = place.run("field glass-globe-bulb.mgf -o fem.glb --error 2").exits(0);
     assert!(ran.stderr().contains("100 % of the lamps' light (1257 lm)"), "{}", ran.stderr());
-    // A second bulb in the open has half of the light; path tracing finds all of it.
+    // A second bulb in the open has half of the light; path tracing finds all of that half.
     let two = place.read("glass-globe-bulb.mgf") + "v side =\n\tp 1 0 1\nm bulb\nsph side .01\n";
     place.write("two.mgf", &two);
     let ran = place.run("render two.mgf -o two.exr --spp 4 --method fem").exits(0);

@@ -1,5 +1,4 @@
-//! Files in the wild: inputs that other renderers' users reported, with the values that are right. The inputs are in
-//! `cli/tests/real_files`.
+//! Tests with files from users of other renderers, with the correct values. The inputs are in `cli/tests/real_files`.
 
 mod energy;
 mod files;
@@ -10,7 +9,7 @@ mod words;
 use crate::common::{Place, Ran};
 use std::path::Path;
 
-/// A temporary folder that holds all inputs.
+/// Creates a temporary folder with all inputs.
 fn place() -> Place {
     let place = Place::new();
     let inputs = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/real_files");
@@ -21,7 +20,7 @@ fn place() -> Place {
     place
 }
 
-/// Standard output and standard error together.
+/// Returns standard output and standard error together.
 fn said(ran: &Ran) -> String {
     format!("{}{}", ran.stdout(), ran.stderr())
 }

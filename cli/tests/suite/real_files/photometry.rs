@@ -1,10 +1,10 @@
-//! LM-63 files whose flux depends on the edition, on separators or on the encoding.
+//! Tests of LM-63 files whose flux depends on the edition, on separators or on the encoding.
 
 use super::{place, said};
 use crate::common::Place;
 use serde_json::Value;
 
-/// Lumens of the only lamp of a scene, and everything that `check` says.
+/// Returns the lumens of the only lamp of a scene, and the whole output of `check`.
 fn lumens(place: &Place, scene: &str) -> (f64, Value) {
     let report = place.run(&format!("check {scene} --json")).exits(0).json();
     let [lamp] = report["lamps"].as_array().expect("lamps").as_slice() else { panic!("one lamp: {report}") };

@@ -1,9 +1,9 @@
-//! Messages that send a user the wrong way.
+//! Tests of messages that could mislead users.
 
 use super::{place, said};
 use crate::common::{Place, Ran};
 
-/// `femc` with these arguments, in the folder.
+/// Runs `femc` with these arguments in the folder.
 fn run(place: &Place, line: &str, more: &[&str]) -> Ran {
     let mut command = place.command(line);
     let output = command.args(more).output().expect("femc starts");
@@ -37,7 +37,7 @@ fn a_layer_that_nothing_in_the_scene_can_make_is_warned_about_with_a_hint() {
         let ran = run(&place, "plan rough-only.mgf --no-trial --layer", &[layer]).exits(0);
         assert_eq!(ran.stderr().contains("stays black"), is_black, "{layer}: {}", ran.stderr());
     }
-    // Layers that come in sets are black without a word, one that is asked for by its name is not.
+    // Black layers of a set have no warning; a black layer that is requested by name has one.
     let ran = place.run("plan rough-only.mgf --no-trial --layers guides,lamps").exits(0);
     assert!(!ran.stderr().contains("black"), "{}", ran.stderr());
     let ran = place.run("plan rough-only.mgf --no-trial --layers fog").exits(0);
@@ -69,7 +69,7 @@ fn transparency_of_a_painting_is_named() {
     assert!(!ran.stderr().contains("transparent"), "{}", ran.stderr());
 }
 
-/// Two triangles of a material, in objects as the lines say.
+/// Returns two triangles of a material, in the given objects.
 fn two(first: &str, second: &str) -> String {
     let surface = "v a =\n\tp 0 0 0\nv b =\n\tp 1 0 0\nv c =\n\tp 0 1 0\n";
     let camera = "camera main =\n\torigin 0 0 3\n\ttarget .3 .3 0\n\tup 0 1 0\n\tfilm 8 8\n";
@@ -100,7 +100,7 @@ fn objects_of_one_name_do_not_merge_without_a_word() {
             }
         }
     }
-    // Said once per name, and copies of one place are one object.
+    // There is one warning per name, and copies in one place are one object.
     place.write("two.mgf", &two("o car;F;o;o car;F;o", "o car;F;o"));
     let check = place.run("check two.mgf --all").exits(0).stdout();
     assert_eq!(check.matches("opened again").count(), 1, "{check}");
@@ -154,13 +154,13 @@ fn warnings_are_grouped_in_front_of_a_render_as_in_check() {
         let [line] = lines[..] else { panic!("{text}") };
         assert!(line.starts_with("warning: odd.mgf:2: 40 (negative-spectrum), the first: "), "{line}");
         assert!(line.contains("and 36 more places; `femc check odd.mgf --all` lists them"), "{line}");
-        // Both print equal words.
+        // Both commands print the same text.
         let words = line.trim_start_matches("warning: odd.mgf:2: ").split(" (also at").next().expect("words");
         assert!(check.contains(words), "{check}");
     }
 }
 
-/// Every control character that can stand in a name: all but blanks and ends of lines, which part fields.
+/// Returns every control character that can occur in a name: all but blanks and line ends, which separate fields.
 fn controls() -> String {
     let all = (1..0xa0u32).filter(|code| !(0x20..0x7f).contains(code)).filter_map(char::from_u32);
     let inside = all.filter(|c| !c.is_whitespace());

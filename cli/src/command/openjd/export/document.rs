@@ -1,4 +1,4 @@
-//! A template as it is written, of specification 2023-09 without extensions.
+//! The written form of a template, of specification 2023-09 without extensions.
 
 use crate::command::openjd::template::TemplateError;
 use crate::request::Change;
@@ -6,27 +6,27 @@ use crate::values::Frames;
 use serde::Serialize;
 use std::path::Path;
 
-/// What a template says.
+/// Contents of a template.
 pub struct Document {
-    /// A format string.
+    /// Name; a format string.
     pub name: String,
-    /// For people.
+    /// Description for people.
     pub description: String,
-    /// Of the job.
+    /// Parameters of the job.
     pub parameters: Vec<Parameter>,
-    /// Of the tasks.
+    /// Parameters of the tasks.
     pub space: Vec<TaskParameter>,
-    /// How these are joined.
+    /// Expression that combines the task parameters.
     pub combination: String,
-    /// The program; a format string.
+    /// Program; a format string.
     pub command: String,
-    /// Its arguments; format strings.
+    /// Arguments of the program; format strings.
     pub args: Vec<String>,
-    /// What hosts must have.
+    /// Attribute that hosts must have.
     pub attributes: Option<HostAttribute>,
 }
 
-/// A path that whoever submits the template may give.
+/// A path parameter that can be set when the template is submitted.
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Parameter {
@@ -40,9 +40,9 @@ pub struct Parameter {
 
 /// A parameter of tasks and its values.
 pub struct TaskParameter {
-    /// An identifier.
+    /// Name; an identifier.
     pub name: String,
-    /// At least one.
+    /// Values, at least one.
     pub range: Range,
 }
 
@@ -54,9 +54,9 @@ pub enum Range {
     Ints(String),
     /// Whole numbers.
     IntList(Vec<serde_json::Number>),
-    /// Numbers, as they were written.
+    /// Numbers, as written.
     Floats(Vec<serde_json::Number>),
-    /// Anything else.
+    /// Other values as text.
     Texts(Vec<String>),
 }
 
@@ -64,20 +64,20 @@ pub enum Range {
 #[derive(Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct HostAttribute {
-    /// Its name.
+    /// Name of the attribute.
     pub name: &'static str,
-    /// At least one.
+    /// Values, at least one.
     pub all_of: Vec<String>,
 }
 
 impl Parameter {
-    /// The scene file.
+    /// Returns the parameter for the scene file.
     pub fn scene(default: String) -> Self {
         let description = "The scene file. What it includes lies beside it, where the tasks run, too.";
         Self { name: "Scene", r#type: "PATH", object_type: "FILE", data_flow: "IN", default, description }
     }
 
-    /// The folder of the frames.
+    /// Returns the parameter for the folder of the frames.
     pub fn out(default: String) -> Self {
         let description = "Folder for the frames.";
         Self { name: "Out", r#type: "PATH", object_type: "DIRECTORY", data_flow: "OUT", default, description }
@@ -85,7 +85,7 @@ impl Parameter {
 }
 
 impl Range {
-    /// Of an axis: numbers where the specification has such, else texts.
+    /// Returns the values of an axis: numbers if the specification supports them, else texts.
     pub fn of(changes: &[&Change]) -> Self {
         let numbers = || changes.iter().map(|change| change.text().parse().ok()).collect::<Option<Vec<_>>>();
         let fits = |change: &&&Change| match change {
@@ -102,7 +102,7 @@ impl Range {
         range.unwrap_or_else(|| Self::Texts(changes.iter().map(|change| change.text()).collect()))
     }
 
-    /// Of frames, ascending.
+    /// Returns the range of some frames, ascending.
     pub fn frames(all: &[u32]) -> Self {
         let whole = || Self::IntList(all.iter().map(|&frame| frame.into()).collect());
         Frames::of(all).map_or_else(whole, |frames| Self::Ints(frames.to_string().replace("..", "-").replace('+', ":")))
@@ -180,7 +180,7 @@ struct Action<'a> {
 }
 
 impl Document {
-    /// As JSON, if `out` ends in `.json`, else as YAML.
+    /// Writes the template as JSON if `out` ends in `.json`, else as YAML.
     pub fn write(&self, out: &Path) -> Result<String, TemplateError> {
         let whole = Whole {
             specification_version: "jobtemplate-2023-09",

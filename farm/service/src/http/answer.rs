@@ -49,7 +49,7 @@ pub(super) fn bytes(status: StatusCode, kind: &'static str, bytes: impl Into<Byt
     response
 }
 
-/// Like [`bytes`], for large content: `held` is dropped when all bytes are sent or the client has disconnected.
+/// Like [`bytes()`], for large content: `held` is dropped when all bytes are sent or the client has disconnected.
 pub(super) fn large<T: Send + 'static>(kind: &'static str, bytes: Bytes, held: T) -> Response<Body> {
     /// Maximum size in bytes of a piece of the body.
     const PIECE: usize = 256 << 10;

@@ -143,7 +143,7 @@ async fn feed(count: usize, turns: usize) -> Result<()> {
         line.clear();
         lines.read_to_string(&mut line)?;
         pages.wait()?;
-        // The last line has the final count.
+        // The last line has the latest count.
         let events: u64 = line.lines().last().unwrap_or("0").parse()?;
         let ratio = watched / alone;
         println!(
@@ -262,7 +262,7 @@ async fn restart() -> Result<()> {
         let farm = loop {
             match Coordinator::start(config(folder.path())).await {
                 Ok(farm) => break farm,
-                // The previous process still holds the log.
+                // The log is still being closed.
                 Err(error) if error.to_string().contains("in use") => tokio::task::yield_now().await,
                 Err(error) => return Err(error.into()),
             }

@@ -50,7 +50,7 @@ pub(crate) enum PendingReply {
     Control(Reply<()>),
 }
 
-/// A call that needs no answer of the scheduler. It is answered when all earlier facts are durable.
+/// A call whose answer changes nothing. It is answered when all earlier facts are durable.
 #[derive(Debug)]
 enum Question {
     List(Reply<Listing>),

@@ -13,7 +13,7 @@ use crate::actor::SessionEvent;
 #[derive(Debug)]
 pub(crate) struct Worker {
     pub(crate) out: mpsc::Sender<ToWorker>,
-    /// Latest jobs whose specification was sent. Other jobs are sent again.
+    /// Jobs whose specification was sent most recently. Any other job is sent, or sent again, before its tasks.
     pub(crate) jobs: Latest<JobId, ()>,
 }
 

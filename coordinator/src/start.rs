@@ -43,8 +43,8 @@ impl Coordinator {
         Self::boxed(config).await
     }
 
-    /// [`Self::open`] as a boxed future. The compiler generates the code of an async function where it is polled. With the box,
-    /// that is this crate, and not every program that starts a coordinator.
+    /// [`Self::open`] as a boxed future. The compiler generates the code of an async function in the crate that polls it. With the
+    /// box, that is this crate, and not every program that starts a coordinator.
     #[inline(never)]
     fn boxed(config: Config) -> Pin<Box<dyn Future<Output = Result<Handle, CoordinatorError>> + Send>> {
         Box::pin(Self::open(config))

@@ -12,7 +12,7 @@ const SIZE: u64 = 48 * MB;
 /// Maximum number of bytes that a cut may cost: the data in flight (4 MiB of window) and a part's framing.
 const COST: u64 = 6 * MB;
 
-/// Bytes in which no piece is like another.
+/// Makes bytes without repetitions.
 fn bytes() -> Bytes {
     let mut state = 1u64;
     let word = |_| {

@@ -1,5 +1,5 @@
-//! Numbering of the tasks of a stage. The steps of each task are divided into equal chunks, the grains. One lease may cover as many
-//! chunks of a task as fit its time.
+//! Numbering of the tasks of a stage. The steps of each task are divided into equal chunks, the grains. One lease covers one or
+//! more chunks of a task, depending on the time that they take.
 
 use std::num::NonZeroU64;
 use std::ops::Range;
@@ -14,8 +14,8 @@ pub enum Cut {
     /// No division: a lease covers all steps of a task.
     #[default]
     Whole,
-    /// Chunks of at least this many units of work. A chunk has up to twice as many, or more if the task would otherwise have more
-    /// than [`Grains::MOST`] chunks.
+    /// Chunks of about this many units of work, up to twice as many. Chunks are smaller if the task has fewer units, and larger if
+    /// the task would otherwise have more than [`Grains::MOST`] chunks.
     Grains(NonZeroU64),
 }
 

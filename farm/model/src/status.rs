@@ -153,7 +153,7 @@ pub enum Wait {
     NoWorkers,
     /// No worker has all these tags.
     NoWorkerWithTags(Vec<String>),
-    /// Every suitable worker holds as many tasks as it can.
+    /// Every suitable worker holds the maximum number of tasks.
     WorkersBusy {
         /// Number of such workers.
         workers: u32,
@@ -343,7 +343,7 @@ pub struct WorkerStatus {
     pub completed: u64,
     /// Number of tasks that failed on the worker in the same period.
     pub failed: u64,
-    /// Whether it gets more tasks.
+    /// Whether the worker gets more tasks.
     pub intake: Intake,
     /// Build of the engine; empty: an earlier coordinator does not report it.
     pub engine: String,

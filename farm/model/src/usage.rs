@@ -43,7 +43,7 @@ pub struct Times {
     /// measurement counts with the length of its lease.
     pub wall: f64,
     /// Seconds in which no attempt ran, between the first lease of these attempts and the end of the last. In this time the worker
-    /// ran other tasks, the lease was queued, or nobody had a lease. Never negative.
+    /// ran other tasks, the lease was queued, or no worker had a lease. Never negative.
     pub waiting: f64,
 }
 

@@ -84,7 +84,7 @@ impl Book {
     }
 }
 
-/// Drops jobs that nobody has asked for recently. Ends when none is left.
+/// Drops jobs without recent requests. Ends when none is left.
 async fn forget(slots: Weak<Mutex<BTreeMap<JobId, Slot>>>) {
     loop {
         tokio::time::sleep(Book::KEPT / 2).await;

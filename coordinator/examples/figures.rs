@@ -1,8 +1,8 @@
-//! The farm's own figures, without a picture: a real coordinator with its log on the disk, and workers in a process of their
-//! own that have every task done at once.
+//! Benchmarks of the farm without rendering: a real coordinator with its log on disk, and workers in a separate process that report
+//! every task as done at once.
 //!
-//! `cargo run --release -p femc-coordinator --example figures`; what pages cost alone: `... --example figures feed`, for which pages
-//! connect from many addresses of this machine (Linux).
+//! Run with `cargo run --release -p femc-coordinator --example figures`. To measure only the cost of web pages:
+//! `... --example figures feed`. There, pages connect from many addresses of this machine (Linux).
 
 use std::error::Error;
 use std::io::{BufRead as _, BufReader, Read as _};
@@ -116,8 +116,8 @@ async fn throughput(sessions: u32, frames: u32) -> Result<()> {
     Ok(())
 }
 
-/// What pages cost a coordinator that is busy: turns without and with them, one after the other.
-/// - `count`: pages that listen, in a process of their own.
+/// Measures what pages cost a busy coordinator: alternating turns without and with pages.
+/// - `count`: number of listening pages, in a separate process.
 async fn feed(count: usize, turns: usize) -> Result<()> {
     const SESSIONS: u32 = 16;
     let folder = tempfile::tempdir()?;
@@ -126,7 +126,7 @@ async fn feed(count: usize, turns: usize) -> Result<()> {
     while client.workers().await?.len() < SESSIONS as usize {
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
-    // The first one finds an empty log.
+    // Warm-up: the first turn starts with an empty log.
     turn(&client).await?;
     let mut ratios = Vec::new();
     for _ in 0..turns {
@@ -136,14 +136,14 @@ async fn feed(count: usize, turns: usize) -> Result<()> {
         let mut pages = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
         let mut lines = BufReader::new(pages.stdout.take().ok_or("no stdout")?);
         let mut line = String::new();
-        // All have their snapshot.
+        // All pages have received their snapshot.
         lines.read_line(&mut line)?;
         let (elapsed, watched) = turn(&client).await?;
         pages.kill()?;
         line.clear();
         lines.read_to_string(&mut line)?;
         pages.wait()?;
-        // Of each second the last number stands.
+        // The last line has the latest count.
         let events: u64 = line.lines().last().unwrap_or("0").parse()?;
         let ratio = watched / alone;
         println!(
@@ -162,7 +162,7 @@ async fn feed(count: usize, turns: usize) -> Result<()> {
     Ok(())
 }
 
-/// Seconds of a job of 100,500 no-op tasks, and microseconds of this process's processor a task.
+/// Runs a job of 100,500 no-op tasks. Returns its seconds, and the microseconds of processor time of this process per task.
 async fn turn(client: &Client) -> Result<(f64, f64)> {
     let (begun, before) = (Instant::now(), processor());
     let id = client.submit(None, job(100, 1000)).await?;
@@ -172,11 +172,12 @@ async fn turn(client: &Client) -> Result<(f64, f64)> {
     Ok((begun.elapsed().as_secs_f64(), (processor() - before) * 1e6 / 100_500.0))
 }
 
-/// So many pages that listen; says so when all have heard, and from then on once a second how many events they have heard.
+/// Runs `count` listening pages. Prints a line when all have received an event, and from then on the number of received events once
+/// a second.
 async fn pages(address: SocketAddr, count: usize) -> Result<()> {
     let (ready, mut heard) = mpsc::channel(count);
     for number in 0..count {
-        // A coordinator takes 512 connections of one address.
+        // A coordinator accepts at most 512 connections from one address.
         let source = SocketAddr::from(([127, 0, 1, (number / 250) as u8], 0));
         let ready = ready.clone();
         tokio::spawn(async move {
@@ -197,7 +198,7 @@ async fn pages(address: SocketAddr, count: usize) -> Result<()> {
     }
 }
 
-/// One page: asks for the feed, and tells of every event.
+/// Runs one page: requests the feed and reports every event.
 async fn page(address: SocketAddr, source: SocketAddr, heard: &mpsc::Sender<()>) -> Result<()> {
     let socket = tokio::net::TcpSocket::new_v4()?;
     socket.bind(source)?;
@@ -210,7 +211,7 @@ async fn page(address: SocketAddr, source: SocketAddr, heard: &mpsc::Sender<()>)
             return Err("the feed has ended".into());
         }
         for &byte in &bytes[..count] {
-            // Of an event's lines only the last one is followed by an empty one; heads of HTTP end in CR LF.
+            // Only the last line of an event is followed by an empty line. HTTP header lines end in CR LF.
             if byte == b'\n' && last == b'\n' {
                 heard.send(()).await?;
             }
@@ -249,7 +250,7 @@ async fn memory() -> Result<()> {
     Ok(())
 }
 
-/// Half of a million tasks is done: in frames that are all finished, and in frames that are all half done.
+/// Measures a restart with half of a million tasks done: once with half of the frames finished, once with every frame half done.
 async fn restart() -> Result<()> {
     for (name, frames, tiles) in
         [("500 of 1000 frames of 1000 tiles finished", 500, 1000), ("500 tiles of each of 1000 frames done", 1000, 500)]
@@ -276,7 +277,7 @@ async fn restart() -> Result<()> {
     Ok(())
 }
 
-/// The log of a job that far, with snapshots as the coordinator makes them.
+/// Writes the log of a job with this progress, with snapshots as the coordinator makes them.
 async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -> Result<()> {
     queue.load().await?;
     let (mut ledger, mut since) = (Ledger::default(), 0);
@@ -312,7 +313,7 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
         }
         queue.append(femc_queue::Batch::of(&records)).await?;
         since += records.len();
-        // The last ones stay records.
+        // The last records are not part of a snapshot.
         if since >= 20_000 && frame + 30 < frames {
             queue.snapshot(&ledger.encode()?).await?;
             since = 0;
@@ -321,7 +322,7 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
     Ok(())
 }
 
-/// What a task of a kind makes.
+/// Makes the result of a task of this kind.
 fn result(kind: StageKind, artifact: Artifact) -> TaskResult {
     let of = |role| TaskResult { outputs: vec![Output { role, artifact }], ..TaskResult::default() };
     match kind {
@@ -332,10 +333,10 @@ fn result(kind: StageKind, artifact: Artifact) -> TaskResult {
     }
 }
 
-/// Milliseconds from the signal to a worker until one of its tasks is given to another.
+/// Measures the milliseconds from the signal to a worker until one of its tasks is given to another worker.
 async fn again(signal: &str) -> Result<f64> {
     let folder = tempfile::tempdir()?;
-    // A copy of a task that is late would be measured else, not the end of its lease.
+    // Disables copies of late tasks, so that the expiry of the lease is measured and not a copy.
     let scheduler = femc_schedule::Config { late: u64::MAX, ..femc_schedule::Config::default() };
     let (farm, client) = start(Config { scheduler, ..config(folder.path()) }).await?;
     let mut victim = workers(&farm.url(), 1, "holds")?;
@@ -351,7 +352,7 @@ async fn again(signal: &str) -> Result<f64> {
             _ = beat.tick() => {
                 number += 1;
                 out.send(FromWorker::Heartbeat { number, tasks: vec![], usage: vec![] }).await;
-                // All other tasks are done by then, and the victim's heartbeats have been heard.
+                // By then all other tasks are done, and the coordinator has received heartbeats of the victim.
                 if number == 8 {
                     let before = Instant::now();
                     let sent = Command::new("kill").args(["-s", signal, &victim.id().to_string()]).status()?;
@@ -402,7 +403,7 @@ fn done(lease: &Assignment) -> FromWorker {
     FromWorker::Completed { task: lease.task, epoch: lease.epoch, result, log: None, usage: Some(usage) }
 }
 
-/// Sessions that have their tasks done at once, or hold them.
+/// Runs sessions that report their tasks as done at once, or hold them.
 async fn work(url: &str, sessions: u64, holds: bool) -> Result<()> {
     let mut all = tokio::task::JoinSet::new();
     for instance in 1..=sessions {
@@ -441,14 +442,14 @@ async fn session(client: &Client, instance: u64, holds: bool) -> Result<()> {
     }
 }
 
-/// Processor seconds of this process so far.
+/// Returns the processor seconds of this process so far.
 fn processor() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields).split_whitespace();
     fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
 }
 
-/// Bytes of memory that this process has.
+/// Returns the resident memory of this process in bytes.
 fn resident() -> u64 {
     let pages = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
     pages.split_whitespace().nth(1).and_then(|pages| pages.parse::<u64>().ok()).unwrap_or(0) * 4096

@@ -1,4 +1,4 @@
-//! The task that owns the scheduler and the log.
+//! Actor of the coordinator: the tokio task that owns the scheduler and the log.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -29,28 +29,28 @@ use crate::session::{self, Worker};
 use crate::target::Targets;
 use crate::wait::{Doors, Pending};
 
-/// The subject of the note of who has been there; others are numbers of jobs, which begin with 1.
+/// Subject of the note with the roster of workers. Other subjects are job numbers, which begin with 1.
 pub const ROSTER: u64 = 0;
 
-/// What a session's reader passes on.
+/// Event from the reader of a session.
 #[derive(Debug)]
 pub(crate) enum SessionEvent {
-    /// The worker says something.
+    /// A message of the worker.
     Said(Box<FromWorker>),
-    /// It has completed a task, and this artifact of the result is not in the store, as the store says.
+    /// The worker completed a task, but this artifact of the result is not in the store. The text is the store's message.
     ArtifactMissing(Box<FromWorker>, Digest, String),
-    /// Its session is over.
+    /// The session has ended.
     Over,
 }
 
-/// Whom an answer of the scheduler goes to.
+/// Recipient of an answer of the scheduler.
 #[derive(Debug)]
 pub(crate) enum PendingReply {
     Submit(Reply<JobId>),
     Control(Reply<()>),
 }
 
-/// A question that changes nothing; answered when all before it is durable.
+/// A call whose answer changes nothing. It is answered when all earlier facts are durable.
 #[derive(Debug)]
 enum Question {
     List(Reply<Listing>),
@@ -72,72 +72,72 @@ enum Question {
     Backup(Reply<Backup>),
 }
 
-/// The shell around the scheduler.
+/// State of the actor: the shell around the scheduler.
 pub(crate) struct Actor<Q> {
     pub(crate) scheduler: Scheduler,
     pub(crate) queue: Q,
     pub(crate) store: Store,
     pub(crate) clock: Clock,
-    /// Unix time in milliseconds at which the farm's clock began, where the date is not the machine's.
+    /// Unix time in milliseconds at which the farm's clock began. Set only if the date does not come from the machine.
     date_zero: Option<u64>,
-    /// The month that the scheduler knows of.
+    /// Month last passed to the scheduler.
     month: Option<Month>,
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
-    /// Whose sessions have begun and are not welcomed yet.
+    /// Workers whose sessions have begun but have not been welcomed yet.
     joined: Vec<WorkerId>,
     pub(crate) pending: BTreeMap<RequestId, PendingReply>,
     pub(crate) watched: BTreeMap<JobId, Watched>,
     pub(crate) changed: BTreeSet<JobId>,
-    /// Jobs to which something happened since a feed has asked, once one has.
+    /// Jobs with events since a feed last asked; `None` until a feed has asked.
     pub(crate) touched: Option<BTreeSet<JobId>>,
     pub(crate) janitor: Janitor,
-    /// What the scheduler holds for true and is not durable yet, each with the time at which it became true.
+    /// Facts that the scheduler has applied but that are not durable yet, with the time of each.
     facts: Vec<(Tick, Fact)>,
-    /// What attempts took, not durable yet.
+    /// Ended attempts that are not durable yet.
     attempts: Ended,
-    /// Relative errors at which the frames of jobs stop.
+    /// Target relative errors of the jobs' frames.
     pub(crate) targets: Targets,
-    /// Who has been there.
+    /// Roster of known workers, connected or not.
     pub(crate) roster: Roster,
-    /// Whether it says what its note does not.
+    /// Whether the roster has changed since its last note.
     is_roster_new: bool,
-    /// It is noted again then, while somebody is there.
+    /// Time of the next roster note, if workers are connected.
     roster_from: Instant,
-    /// Sessions that broke while commands were executed.
+    /// Events raised while commands were executed, such as broken sessions.
     pub(crate) echoes: VecDeque<Event>,
     questions: Vec<Question>,
-    /// Heartbeats that are heard and not answered, with their numbers.
+    /// Received heartbeats without an answer, with their numbers.
     heartbeats: Vec<(WorkerId, u64)>,
     numbers: u64,
-    /// Records since the last snapshot.
+    /// Number of records since the last snapshot.
     records: usize,
-    /// Records after which the next snapshot is due.
+    /// Number of records after which the next snapshot is due.
     snapshot: usize,
-    /// No snapshot is made before: there was no room for one.
+    /// Earliest time of the next snapshot, after one failed for lack of space.
     snapshots_from: Instant,
     session_events: mpsc::Sender<(WorkerId, SessionEvent)>,
     pub(crate) heard: mpsc::Receiver<(WorkerId, SessionEvent)>,
-    /// What was said while there was no room for the log.
+    /// Session events received while there was no space for the log.
     pub(crate) put_off: VecDeque<(WorkerId, SessionEvent)>,
     pub(crate) metrics: Metrics,
-    /// Who wants to know how much there is of everything.
+    /// Requests for metrics.
     pub(crate) watchers: mpsc::Receiver<oneshot::Sender<Now>>,
     pub(crate) announcer: Announcer,
     pub(crate) disks: Disks,
-    /// When these were looked at.
+    /// Time of the last check of the disks.
     pub(crate) looked: Instant,
 }
 
 impl<Q: Queue> Actor<Q> {
-    /// Most messages that are made durable in one go.
+    /// Maximum number of messages that are made durable together.
     const BATCH: usize = 1024;
-    /// Between two looks at deadlines and watchers.
+    /// Interval between two checks of deadlines and watchers.
     const TIMER: Duration = Duration::from_millis(100);
-    /// Whoever looks so late has heard nobody in the meantime.
+    /// Delay of the timer after which the loop is considered stalled. No worker's message was processed in this time.
     const STANDSTILL: Duration = Duration::from_millis(500);
-    /// Between two notes of who is there: a coordinator that is killed knows last contacts as well as that.
+    /// Interval between two roster notes. After a crash, the times of last contact are this accurate.
     const ROSTER: Duration = Duration::from_secs(60);
-    /// Until a snapshot for which there was no room is tried again.
+    /// Delay before a snapshot that failed for lack of space is retried.
     const SNAPSHOT_AGAIN: Duration = Duration::from_secs(10);
 
     pub(crate) fn new(
@@ -152,7 +152,7 @@ impl<Q: Queue> Actor<Q> {
         let (session_events, heard) = mpsc::channel(4 * Self::BATCH);
         let disks = Disks::of(config);
         config.metrics.lies_on(disks.clone());
-        // Of a term before this one.
+        // Clears the reason left from an earlier term.
         config.metrics.waits(None);
         Self {
             clock: Clock::from(scheduler.ledger().now(), config.time.clone()),
@@ -192,7 +192,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// Works until `stop`'s sender is dropped, or the log fails.
+    /// Runs until `stop`'s sender is dropped, or the log fails.
     pub(crate) async fn run(mut self, mut doors: Doors) -> Result<(), CoordinatorError> {
         let mut timer = tokio::time::interval(Self::TIMER);
         timer.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -211,7 +211,7 @@ impl<Q: Queue> Actor<Q> {
                     self.hear(Event::Elapsed, &mut commands);
                     self.look_after(&mut commands, &mut doors).await?;
                 }
-                // What was put off was said first.
+                // Deferred events are older than the others, so they are processed first.
                 () = std::future::ready(()), if !self.put_off.is_empty() => {}
                 Some((worker, event)) = self.heard.recv() => self.session_event(worker, event, &mut commands),
                 Some(call) = doors.calls.recv() => self.call(call, &mut commands),
@@ -240,14 +240,14 @@ impl<Q: Queue> Actor<Q> {
         Ok(self.queue.close().await?)
     }
 
-    /// Tells how much there is of everything.
+    /// Answers a request for metrics.
     pub(crate) fn show(&mut self, watcher: oneshot::Sender<Now>) {
         let figures = self.scheduler.figures(self.clock.now());
-        // Who has gone away does not hear it.
+        // The send fails if the watcher is gone. This is ignored.
         let _ = watcher.send(Now { figures, records: self.records });
     }
 
-    /// Asks the scheduler what follows from `event`.
+    /// Passes `event` to the scheduler and collects the resulting commands and facts.
     fn hear(&mut self, event: Event, commands: &mut Vec<Command>) {
         let (now, first) = (self.clock.now(), commands.len());
         self.scheduler.hear(event, now, commands);
@@ -265,7 +265,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// The log and the usage that a report brings along.
+    /// Processes the log and the usage that are part of a report.
     fn besides(&mut self, worker: WorkerId, said: &mut FromWorker, commands: &mut Vec<Command>) {
         if let Some(event) = log_of(worker, said) {
             self.hear(event, commands);
@@ -310,7 +310,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// Calendar date: Unix time in milliseconds. A simulation's follows its clock.
+    /// Returns the calendar date: Unix time in milliseconds. In a simulation it follows the simulated clock.
     fn date(&self) -> Option<u64> {
         if let Some(zero) = self.date_zero {
             return Some(zero.saturating_add(self.clock.now().0));
@@ -319,7 +319,7 @@ impl<Q: Queue> Actor<Q> {
         u64::try_from(date.as_millis()).ok()
     }
 
-    /// Tells the scheduler the month, by which usage is summed.
+    /// Passes the current month to the scheduler, which sums usage by month.
     fn note_month(&mut self, commands: &mut Vec<Command>) {
         let date = self.date().and_then(|date| Timestamp::from_millisecond(i64::try_from(date).ok()?).ok());
         let date = date.map(|date| date.to_zoned(TimeZone::UTC).date());
@@ -398,7 +398,7 @@ impl<Q: Queue> Actor<Q> {
     fn join(&mut self, session: Session, commands: &mut Vec<Command>) {
         pass(Point::CoordinatorBeforeJoin);
         let Session { registration, messages, out } = session;
-        // A number that comes again is that of a session whose last message was heard.
+        // If the number was used before, it belongs to a session whose last message has been processed.
         let worker = self.roster.join(&registration.name);
         tracing::info!(
             worker = worker.0,
@@ -415,13 +415,13 @@ impl<Q: Queue> Actor<Q> {
         self.observe_workers();
     }
 
-    /// Whether a job was submitted with this key.
+    /// Returns whether a job was submitted with this key.
     pub(crate) fn is_known(&self, key: Option<&str>) -> bool {
         key.is_some_and(|key| self.scheduler.ledger().job_of_key(key).is_some())
     }
 
-    /// Makes the facts durable, then executes the commands and empties them, then answers questions. Whoever may lead no longer says
-    /// nothing.
+    /// Makes the facts durable, then executes and clears the commands, then answers calls. A coordinator that has lost leadership
+    /// sends nothing.
     pub(crate) async fn commit(
         &mut self,
         commands: &mut Vec<Command>,
@@ -431,7 +431,7 @@ impl<Q: Queue> Actor<Q> {
             self.queue.check()?;
         } else {
             let records = self.facts.drain(..).map(|(now, fact)| fact.encode(now)).collect::<Result<Vec<_>, _>>()?;
-            // The points of death are counted by what jobs do: when workers come and go is chance.
+            // Fault points are counted only for batches with records of jobs, because workers join and leave at random times.
             let is_of_jobs = !records.is_empty() || !self.attempts.is_empty();
             if is_of_jobs {
                 pass_async(Point::CoordinatorBeforeAppend).await;
@@ -450,7 +450,7 @@ impl<Q: Queue> Actor<Q> {
             }
             self.records += records.len();
         }
-        // What they said of the deaths of others is durable.
+        // Reports of dead processes in their registrations are durable now.
         for worker in std::mem::take(&mut self.joined) {
             self.welcome(worker);
         }
@@ -459,8 +459,8 @@ impl<Q: Queue> Actor<Q> {
         self.answer().await
     }
 
-    /// Answers the heartbeats. After the commands: an assignment that a worker gets after such an answer was made after the
-    /// heartbeat was sent.
+    /// Answers the heartbeats. This happens after the commands, so that an assignment that arrives after the answer was made after
+    /// the heartbeat was sent.
     fn renew(&mut self) {
         let now = self.clock.now();
         for (worker, heartbeat) in std::mem::take(&mut self.heartbeats) {
@@ -475,7 +475,7 @@ impl<Q: Queue> Actor<Q> {
 
     async fn answer(&mut self) -> Result<(), CoordinatorError> {
         let now = self.clock.now();
-        // Whoever asked and went away does not hear the answer.
+        // The send fails if the caller has disconnected. This is ignored.
         for question in std::mem::take(&mut self.questions) {
             match question {
                 Question::List(reply) => {
@@ -501,7 +501,7 @@ impl<Q: Queue> Actor<Q> {
                     let page = match self.queue.notes(job.0, from).await {
                         Ok(page) => Ok(attempts::page(page)),
                         Err(error) if error.remedy() == Remedy::Reopen => return Err(error.into()),
-                        // They are beside the log: it does not need them.
+                        // Notes are stored beside the log. The log works without them.
                         Err(error) => Err(Refusal::Unavailable { message: format!("what attempts took: {error}") }),
                     };
                     drop(reply.send(page));
@@ -521,24 +521,24 @@ impl<Q: Queue> Actor<Q> {
         Ok(())
     }
 
-    /// Who is there, and who was.
+    /// Returns the connected and the disconnected workers.
     fn crew(&self) -> Crew {
         let there = self.there();
         let offline = self.roster.offline(&there);
         Crew { there, offline }
     }
 
-    /// Who is there, with the counts of earlier sessions.
+    /// Returns the connected workers, with the counts of earlier sessions.
     fn there(&self) -> Vec<WorkerStatus> {
         let mut there = self.scheduler.workers(self.clock.now());
         self.roster.add_earlier(&mut there);
         there
     }
 
-    /// Takes notice of those who are there; it becomes durable with what comes next.
+    /// Updates the roster from the connected workers. The next commit makes it durable.
     fn observe_workers(&mut self) {
         let now = self.clock.now();
-        // Without a date no contact can be told.
+        // Without a date, the time of contact is not known.
         let Some(zero) = self.scheduler.config().clock_zero else { return };
         self.roster.observe(&self.there(), zero.saturating_add(now.0));
         self.is_roster_new = true;
@@ -548,7 +548,7 @@ impl<Q: Queue> Actor<Q> {
         Ok(Note { subject: ROSTER, bytes: self.roster.encode()? })
     }
 
-    /// At the end: last contacts as they are.
+    /// Writes the final roster note, with the latest contacts.
     async fn note_roster(&mut self) {
         self.observe_workers();
         let Ok(note) = self.roster_note() else { return };
@@ -558,7 +558,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// What a feed wants to hear.
+    /// Returns the changes for a feed.
     fn changes(&mut self, news: News) -> Changes {
         let now = self.clock.now();
         let touched = self.touched.replace(BTreeSet::new()).filter(|_| news == News::Changes);
@@ -573,7 +573,7 @@ impl<Q: Queue> Actor<Q> {
         References { artifacts: ledger.references(), scenes: ledger.scenes() }
     }
 
-    /// What is done now and then: watchers, artifacts that nobody needs, snapshots.
+    /// Does periodic work: updates watchers, removes unneeded artifacts, makes snapshots.
     async fn look_after(&mut self, commands: &mut Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         self.queue.check()?;
         self.refresh_watched();
@@ -586,7 +586,7 @@ impl<Q: Queue> Actor<Q> {
         self.sweep(commands, doors).await?;
         self.disks.look_later(&mut self.looked);
         if self.records >= self.snapshot && Instant::now() >= self.snapshots_from {
-            // The snapshot holds what these commands' facts say already.
+            // The snapshot already includes the facts of these commands.
             self.commit(commands, doors).await?;
             let state = self.scheduler.ledger().encode()?;
             pass_async(Point::CoordinatorBeforeSnapshot).await;
@@ -607,7 +607,7 @@ impl<Q: Queue> Actor<Q> {
     }
 }
 
-/// A log that is not copied is as it was.
+/// Converts a failed copy of the log to a refusal. The log itself is unchanged.
 fn no_copy(error: &QueueError) -> Refusal {
     match error {
         QueueError::NoCopy { .. } => Refusal::Invalid { field: "backup".into(), message: error.to_string() },
@@ -615,7 +615,7 @@ fn no_copy(error: &QueueError) -> Refusal {
     }
 }
 
-/// The log that a worker's report brings.
+/// Takes the log out of a worker's report.
 fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
     match said {
         FromWorker::Completed { task, epoch, log, .. } | FromWorker::Failed { task, epoch, log, .. } => {
@@ -626,7 +626,7 @@ fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
     }
 }
 
-/// What leases took, as a worker says: of one that it reports, or of those that were taken back.
+/// Takes the usage of leases out of a worker's message: of a reported lease, or of revoked leases.
 fn usage_of(said: &mut FromWorker) -> impl Iterator<Item = TaskUsage> + use<> {
     let (reported, others) = match said {
         FromWorker::Heartbeat { usage, .. } => (None, std::mem::take(usage)),
@@ -639,7 +639,7 @@ fn usage_of(said: &mut FromWorker) -> impl Iterator<Item = TaskUsage> + use<> {
     reported.into_iter().chain(others)
 }
 
-/// A completion that lacks an artifact.
+/// Makes the event of a completion whose artifact is missing.
 fn artifact_missing(worker: WorkerId, said: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
     let FromWorker::Completed { task, epoch, .. } = said else { return None };
     let (task, epoch) = (*task, *epoch);
@@ -647,7 +647,7 @@ fn artifact_missing(worker: WorkerId, said: &FromWorker, artifact: Digest, messa
     Some(Event::ArtifactMissing { worker, task, epoch, artifact, message })
 }
 
-/// What a worker says, as the scheduler hears it.
+/// Converts a worker's message to an event of the scheduler.
 fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
     Some(match said {
         FromWorker::Heartbeat { tasks, .. } => Event::Heartbeat { worker, tasks },
@@ -663,7 +663,7 @@ fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
         }
         FromWorker::Draining => Event::Draining { worker },
         FromWorker::Available => Event::Available { worker },
-        // A session has one registration, and it is over.
+        // A session has one registration, which has been processed before.
         FromWorker::Register(_) => return None,
     })
 }

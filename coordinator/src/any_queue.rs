@@ -1,4 +1,4 @@
-//! A log of any kind behind a pointer, so that the coordinator is compiled once and not for each kind of log.
+//! Type-erased log, so that the coordinator is compiled once and not once per kind of log.
 
 use std::fs::File;
 use std::future::Future;
@@ -8,7 +8,7 @@ use femc_queue::{Batch, Contents, Page, Queue, QueueError};
 
 type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, QueueError>> + Send + 'a>>;
 
-/// [`Queue`] with its futures behind pointers.
+/// [`Queue`] with boxed futures.
 trait Behind: Send {
     fn load(&mut self) -> Answer<'_, Contents>;
     fn append<'a>(&'a mut self, batch: Batch<'a>) -> Answer<'a, ()>;
@@ -54,7 +54,7 @@ impl<Q: Queue> Behind for Q {
     }
 }
 
-/// Any log.
+/// Log of any kind.
 pub(crate) struct AnyQueue(Box<dyn Behind>);
 
 impl AnyQueue {

@@ -1,4 +1,5 @@
-//! What attempts took, on its way to the place beside the log: a note a job and batch, however many attempts it holds.
+//! Records of ended attempts, on their way to the notes beside the log. There is one note per job and batch, with any number of
+//! attempts.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +10,7 @@ use femc_schedule::{Fact, SnapshotError, decode_attempts, encode_attempts};
 
 use crate::actor::Actor;
 
-/// Attempts that have ended, by job, and jobs whose attempts nobody wants any more.
+/// Ended attempts by job, and the jobs whose attempts must be deleted.
 #[derive(Debug, Default)]
 pub(crate) struct Ended {
     attempts: BTreeMap<JobId, Vec<AttemptRecord>>,
@@ -21,7 +22,7 @@ impl Ended {
         self.attempts.entry(attempt.task.job).or_default().push(attempt);
     }
 
-    /// A job that is forgotten has no attempts.
+    /// Drops the attempts of a job that is deleted.
     pub(crate) fn on_fact(&mut self, fact: &Fact) {
         if let Fact::Forgotten { job } = fact {
             self.attempts.remove(job);
@@ -33,7 +34,7 @@ impl Ended {
         self.attempts.is_empty() && self.forgotten.is_empty()
     }
 
-    /// What is to be kept, and the jobs whose notes go.
+    /// Takes out the notes to store, and the jobs whose notes must be deleted.
     pub(crate) fn take(&mut self) -> Result<(Vec<Note>, Vec<u64>), SnapshotError> {
         let Self { attempts, forgotten } = std::mem::take(self);
         let notes: Result<Vec<Note>, SnapshotError> = (attempts.into_iter())
@@ -43,7 +44,7 @@ impl Ended {
     }
 }
 
-/// What a page of notes says; one that makes no sense is left out.
+/// Decodes a page of notes. Invalid notes are left out.
 pub(crate) fn page(page: Page) -> AttemptPage {
     let read = |note: Vec<u8>| {
         decode_attempts(&note).unwrap_or_else(|error| {

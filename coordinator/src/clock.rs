@@ -1,4 +1,4 @@
-//! The coordinator's one clock.
+//! Clock of the coordinator.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,12 +7,12 @@ use std::time::Duration;
 use femc_model::Tick;
 use tokio::time::Instant;
 
-/// Where the coordinator's time comes from. A simulation has its own, which may go back, as a machine's may that was moved.
+/// Source of the coordinator's time. A simulation has its own, which may go back, as the clock of a machine that was moved may.
 #[derive(Clone)]
 pub struct Time(Arc<dyn Fn() -> Duration + Send + Sync>);
 
 impl Time {
-    /// From `source`, which says how long ago some fixed moment was.
+    /// Makes a time source from `source`, which returns the time since some fixed moment.
     pub fn by(source: impl Fn() -> Duration + Send + Sync + 'static) -> Self {
         Self(Arc::new(source))
     }
@@ -31,8 +31,8 @@ impl fmt::Debug for Time {
     }
 }
 
-/// Gives the scheduler its time: it goes on from where the log ended, and never goes back. Where its source does, it goes on
-/// from there: what went by before has gone by.
+/// Clock of the scheduler. It resumes where the log ended and never goes back. If its source goes back, the clock continues from
+/// its present value with the new readings.
 #[derive(Debug)]
 pub(crate) struct Clock {
     base: Tick,
@@ -40,7 +40,7 @@ pub(crate) struct Clock {
     shown: Mutex<Shown>,
 }
 
-/// What the source showed last, and all that has gone by.
+/// Last reading of the source, and the total elapsed time.
 #[derive(Debug)]
 struct Shown {
     last: Duration,
@@ -59,20 +59,20 @@ impl Clock {
         self.base.after(u64::try_from(passed.as_millis()).unwrap_or(u64::MAX))
     }
 
-    /// Lets it stand still.
+    /// Stops the clock.
     pub(crate) fn stop(&self) {
         self.look(|shown| shown.is_stopped = true);
     }
 
-    /// Lets it go on from where it stands.
+    /// Resumes the clock from its present value.
     pub(crate) fn go_on(&self) {
         self.look(|shown| shown.is_stopped = false);
     }
 
-    /// All that has gone by; then something changes.
+    /// Returns the total elapsed time, then applies `change`.
     fn look(&self, change: impl FnOnce(&mut Shown)) -> Duration {
         let time = (self.time.0)();
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
         let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
         let passed = if shown.is_stopped { Duration::ZERO } else { time.saturating_sub(shown.last) };
         shown.passed += passed;
@@ -96,7 +96,7 @@ mod tests {
     use crate::Config;
     use crate::actor::Actor;
 
-    /// The clock is tokio's, which is the monotonic clock of the machine: setting the date does not change it.
+    /// The time source is tokio's clock, which is the machine's monotonic clock. Setting the date does not change it.
     #[tokio::test(start_paused = true)]
     async fn the_clock_of_a_coordinator_follows_the_time_that_passes_and_not_the_date() {
         let config = Config::default();
@@ -107,7 +107,7 @@ mod tests {
         let clocks = [time, configured, actor.clock];
         let show = || clocks.each_ref().map(|clock| clock.now().0);
         let date = SystemTime::now();
-        // A few ticks of the date go by, and no time.
+        // The date advances by a few ticks while tokio's clock stands still.
         while date.elapsed().is_ok_and(|passed| passed < Duration::from_millis(3)) {}
         assert_eq!(show(), [0; 3], "the date goes on, and time stands still");
         for (passes, shows) in [(1, 1), (999, 1_000), (86_400_000, 86_401_000)] {

@@ -1,4 +1,4 @@
-//! What a coordinator needs to know, and why it may not start.
+//! Configuration of a coordinator, and its errors.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -14,37 +14,37 @@ use crate::announce::Announce;
 use crate::clock::Time;
 use crate::metrics::Metrics;
 
-/// Where the log lives.
+/// Location of the log.
 #[derive(Debug, Clone)]
 pub enum Log {
-    /// In memory: nothing outlives the process.
+    /// In memory: nothing survives the process.
     Memory,
-    /// In this SQLite file.
+    /// A SQLite file at this path.
     Sqlite(PathBuf),
-    /// In a PostgreSQL database, which other coordinators may share: one leads, the others stand by.
+    /// A PostgreSQL database, which several coordinators may share: one is the leader, the others are standbys.
     Postgres {
         /// Address of the database.
         database: Database,
-        /// A leader that gives no sign of life for so long is taken for dead; the same for all coordinators of a farm.
+        /// Time of silence after which a leader is considered dead. It must be equal for all coordinators of a farm.
         silence: Duration,
     },
 }
 
-/// Where artifacts live.
+/// Location of the artifacts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Artifacts {
-    /// In memory: nothing outlives the process.
+    /// In memory: nothing survives the process.
     Memory,
-    /// In this folder.
+    /// A folder at this path.
     Folder(PathBuf),
-    /// In a bucket, `s3://bucket/prefix`; the rest is in the usual `AWS_` variables.
+    /// A bucket, `s3://bucket/prefix`. Other settings come from the usual `AWS_` variables.
     S3(String),
 }
 
-/// Who may connect to a coordinator without an entrance.
+/// Clients that may connect to a coordinator without an entrance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Exposure {
-    /// Programs of this machine; any other address is refused.
+    /// Only programs on this machine. Any other listen address is refused.
     Loopback,
     /// Anybody who can reach the address.
     Anybody,
@@ -53,35 +53,36 @@ pub enum Exposure {
 /// A coordinator's configuration.
 #[derive(Debug, Clone)]
 pub struct Config {
-    /// Where to listen; port 0: any free port.
+    /// Address to listen on; port 0: any free port.
     pub listen: SocketAddr,
-    /// Who may connect, where nothing is encrypted.
+    /// Clients that may connect, if connections are not encrypted.
     pub exposure: Exposure,
-    /// Its identity and whom it lets in; `None`: connections are not encrypted, and everybody is.
+    /// Identity of the coordinator and the identities that it accepts; `None`: connections are not encrypted, and everyone is
+    /// accepted.
     pub entrance: Option<Entrance>,
     /// Limits of connections and messages.
     pub limits: Limits,
-    /// Where changes and refusals are noted.
+    /// Audit log of changes and refusals.
     pub audit: Option<Audit>,
-    /// Who is told of the ends of jobs.
+    /// Notifications about the ends of jobs.
     pub announce: Announce,
-    /// What browsers are shown.
+    /// Content for browsers.
     pub site: Site,
-    /// Place of the log.
+    /// Location of the log.
     pub log: Log,
-    /// Place of the artifacts.
+    /// Location of the artifacts.
     pub artifacts: Artifacts,
-    /// The scheduler's times and limits.
+    /// Times and limits of the scheduler.
     pub scheduler: femc_schedule::Config,
-    /// Records of the log after which a snapshot takes their place.
+    /// Number of log records after which a snapshot replaces them.
     pub snapshot: usize,
-    /// Bytes that shall stay free on the disks of the log and of the artifacts: with less, no new jobs are taken. 0: none.
+    /// Bytes to keep free on the disks of the log and of the artifacts. With less, new jobs are refused. 0: no limit.
     pub keep_free: u64,
-    /// What to do with a log that lacks what was acknowledged.
+    /// Treatment of a log that lacks acknowledged records.
     pub loss: Loss,
-    /// The clock.
+    /// Source of time.
     pub time: Time,
-    /// Where it counts what it does.
+    /// Metrics of the coordinator.
     pub metrics: Metrics,
 }
 
@@ -108,22 +109,22 @@ impl Default for Config {
 }
 
 impl Config {
-    /// Where it is reached, if it listens at `address`.
+    /// Returns the coordinator's URL, if it listens at `address`.
     pub(crate) fn url(&self, address: SocketAddr) -> String {
         let scheme = if self.is_encrypted() { "https" } else { "http" };
         format!("{scheme}://{address}")
     }
 
-    /// Whether others can read what is said.
+    /// Returns whether connections are encrypted.
     pub(crate) fn is_encrypted(&self) -> bool {
         self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some())
     }
 }
 
-/// Why a coordinator did not start, or stopped.
+/// Reason why a coordinator did not start, or stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum CoordinatorError {
-    /// The address is taken, or none of this machine's.
+    /// The address is in use, or does not belong to this machine.
     #[error("cannot listen on {address}: {error}")]
     Listen {
         /// Address from the configuration.
@@ -131,22 +132,22 @@ pub enum CoordinatorError {
         /// Error of the operating system.
         error: std::io::Error,
     },
-    /// The address can be reached from other machines, and that was not asked for.
+    /// Other machines can reach the address, and the configuration does not permit that.
     #[error("{address} can be reached from other machines, and connections are not encrypted")]
     Exposed {
         /// Address from the configuration.
         address: SocketAddr,
     },
-    /// The log.
+    /// The log failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
-    /// The log's content.
+    /// The content of the log is invalid.
     #[error(transparent)]
     Ledger(#[from] SnapshotError),
-    /// The artifact store.
+    /// The artifact store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The server.
+    /// The server failed.
     #[error(transparent)]
     Serve(#[from] ServeError),
     /// A task of the coordinator panicked.

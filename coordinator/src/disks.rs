@@ -1,5 +1,5 @@
-//! The disks that the log and the artifacts lie on: below one bound of free bytes it is told, below another no new jobs are
-//! taken, so that there is room for the work that has begun.
+//! Free space on the disks of the log and of the artifacts. Below one limit a warning is given. Below a lower limit new jobs are
+//! refused, so that there is space for the work in progress.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,25 +10,25 @@ use tokio::time::{Duration, Instant};
 
 use crate::config::{Artifacts, Config, Log};
 
-/// What is free; clones are the same.
+/// Free space of the disks. Clones share it.
 #[derive(Debug, Clone)]
 pub(crate) struct Disks(Arc<Inner>);
 
 #[derive(Debug)]
 struct Inner {
     disks: Vec<Disk>,
-    /// With less than these free bytes no new jobs are taken.
+    /// Free bytes below which new jobs are refused.
     keep_free: u64,
     is_looking: AtomicBool,
 }
 
 #[derive(Debug)]
 struct Disk {
-    /// Data on this disk, as messages name it.
+    /// Data on this disk, for messages.
     holds: &'static str,
-    /// Path on the disk that is watched.
+    /// Watched path on the disk.
     path: PathBuf,
-    /// `u64::MAX`: nobody knows.
+    /// Free bytes; `u64::MAX`: not known.
     free: AtomicU64,
     was_low: AtomicBool,
 }
@@ -44,9 +44,9 @@ impl Disk {
 }
 
 impl Disks {
-    /// It is told from this many times the bytes on that are to stay free.
+    /// Multiple of `keep_free` below which a warning is given.
     const WARN: u64 = 4;
-    /// Between two looks.
+    /// Interval between two checks.
     pub(crate) const EVERY: Duration = Duration::from_secs(1);
 
     pub(crate) fn of(config: &Config) -> Self {
@@ -66,7 +66,7 @@ impl Disks {
         disks
     }
 
-    /// Asks the system, which may take its time.
+    /// Queries the operating system, which may be slow.
     fn look(&self) {
         let Inner { disks, keep_free, .. } = &*self.0;
         for disk in disks {
@@ -81,7 +81,7 @@ impl Disks {
         }
     }
 
-    /// Asks the system behind everybody's back, now and then.
+    /// Queries the operating system in the background, at most once per interval.
     pub(crate) fn look_later(&self, last: &mut Instant) {
         if self.0.disks.is_empty() || last.elapsed() < Self::EVERY || self.0.is_looking.swap(true, Ordering::Relaxed) {
             return;
@@ -94,7 +94,7 @@ impl Disks {
         });
     }
 
-    /// Why no new jobs are taken.
+    /// Returns the refusal of new jobs, if space is short.
     pub(crate) fn refusal(&self) -> Option<Refusal> {
         let short = self.0.disks.iter().find_map(|disk| {
             let free = disk.free().filter(|free| *free < self.0.keep_free)?;
@@ -103,7 +103,7 @@ impl Disks {
         short.map(|(place, free)| Refusal::NoRoom { place, free })
     }
 
-    /// What somebody should look after.
+    /// Returns warnings for users about short space.
     pub(crate) fn warnings(&self) -> Vec<String> {
         let keep = self.0.keep_free;
         let warning = |disk: &Disk| {
@@ -116,14 +116,14 @@ impl Disks {
         self.0.disks.iter().filter_map(warning).collect()
     }
 
-    /// What is free, by what lies there.
+    /// Returns the free bytes by the data on each disk.
     pub(crate) fn free(&self) -> Vec<(&'static str, u64)> {
         let label = |holds| if holds == "the log" { "log" } else { "artifacts" };
         self.0.disks.iter().filter_map(|disk| Some((label(disk.holds), disk.free()?))).collect()
     }
 }
 
-/// The folder of a file.
+/// Returns the folder of a file.
 fn folder(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     folder.unwrap_or(Path::new(".")).to_owned()

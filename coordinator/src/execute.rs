@@ -1,4 +1,4 @@
-//! Commands of the scheduler as messages, and statuses for those who watch.
+//! Execution of the scheduler's commands: messages to workers, and status updates for watchers.
 
 use femc_fault::{Point, pass};
 use femc_model::{Assignment, JobId, JobNotes, JobSpec, JobStatus, Refusal, Tick, ToWorker, WorkerId};
@@ -8,7 +8,7 @@ use tokio::sync::watch;
 
 use crate::actor::{Actor, PendingReply};
 
-/// A job that somebody watches.
+/// A watched job.
 #[derive(Debug)]
 pub(crate) struct Watched {
     statuses: watch::Sender<JobStatus>,
@@ -16,14 +16,14 @@ pub(crate) struct Watched {
 }
 
 impl<Q: Queue> Actor<Q> {
-    /// Least milliseconds between two statuses of a job.
+    /// Minimum time in milliseconds between two status updates of a job.
     const PAUSE: u64 = 50;
 
-    /// What the facts stand for is durable: tell everybody.
+    /// Executes the commands, after their facts are durable.
     pub(crate) fn execute(&mut self, commands: &mut Vec<Command>) {
         for command in commands.drain(..) {
             match command {
-                // Kept before.
+                // These were stored before.
                 Command::Record(_) | Command::Note(_) => {}
                 Command::Assign { worker, assignment } => self.assign(worker, assignment),
                 Command::Revoke { worker, task, epoch, reason } => {
@@ -60,14 +60,14 @@ impl<Q: Queue> Actor<Q> {
         let is_known = self.workers.get(&worker).is_none_or(|known| known.jobs.get(&job).is_some());
         if !is_known && let Some(spec) = self.scheduler.spec(job).cloned() {
             self.workers.entry(worker).and_modify(|known| known.jobs.put(job, ()));
-            // Workers have no use for notes, and the URL in them may be a secret.
+            // Workers do not need the notes, and their URL may be a secret.
             let spec = Box::new(JobSpec { notes: JobNotes::default(), ..spec });
             self.tell(worker, ToWorker::Job { job, spec });
         }
         self.tell(worker, ToWorker::Assign(assignment));
     }
 
-    /// A worker that does not read, or is gone, loses its session.
+    /// Sends a message to a worker. A worker that does not read, or is gone, loses its session.
     pub(crate) fn tell(&mut self, worker: WorkerId, message: ToWorker) {
         let Some(known) = self.workers.get(&worker) else { return };
         if known.out.try_send(message).is_err() {
@@ -77,7 +77,7 @@ impl<Q: Queue> Actor<Q> {
     }
 
     fn reply(&mut self, request: RequestId, answer: Result<Answer, Refusal>) {
-        // Whoever asked and went away does not hear the answer.
+        // The send fails if the caller has disconnected. This is ignored.
         match self.pending.remove(&request) {
             Some(PendingReply::Submit(reply)) => {
                 let job = |answer| match answer {
@@ -94,7 +94,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// A job's status now, and from now on.
+    /// Returns a receiver of a job's present and future status.
     pub(crate) fn watch(&mut self, job: JobId) -> Result<watch::Receiver<JobStatus>, Refusal> {
         let now = self.clock.now();
         let status = self.targets.status(&self.scheduler, job, now)?;
@@ -107,7 +107,7 @@ impl<Q: Queue> Actor<Q> {
         Ok(receiver)
     }
 
-    /// Sends the statuses of jobs that changed, none too often, an end at once.
+    /// Sends the statuses of changed jobs, at a limited rate. The end of a job is sent at once.
     fn notify(&mut self) {
         let now = self.clock.now();
         let (scheduler, watched, targets) = (&self.scheduler, &mut self.watched, &mut self.targets);
@@ -124,7 +124,7 @@ impl<Q: Queue> Actor<Q> {
         });
     }
 
-    /// Sends statuses also where only time went by: samples a second, seconds.
+    /// Sends statuses in which only time has changed: samples per second, and seconds.
     pub(crate) fn refresh_watched(&mut self) {
         let now = self.clock.now();
         let (scheduler, targets) = (&self.scheduler, &mut self.targets);
@@ -139,7 +139,7 @@ impl<Q: Queue> Actor<Q> {
 
     pub(crate) fn say_goodbye(&mut self) {
         for worker in std::mem::take(&mut self.workers).into_values() {
-            // One that does not read finds the session closed.
+            // A worker that does not read sees a closed session instead.
             let _ = worker.out.try_send(ToWorker::Goodbye);
         }
     }

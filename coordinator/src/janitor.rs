@@ -1,11 +1,10 @@
-//! Removing artifacts that no job names any more: tiles that were reduced, sums of earlier rounds.
+//! Removal of artifacts that no job names any more: tiles that were reduced, and sums of earlier rounds.
 //!
-//! Some time after they were released, and only if nothing names them then: the same bytes may have come in again under
-//! the same digest, and a worker that found them in the store does not send them twice. Should one be removed all the
-//! same, the task that misses it has it made again.
+//! An artifact is removed some time after its release, and only if nothing names it then. The reason: the same bytes may have been
+//! uploaded again with the same digest, and a worker that finds them in the store does not send them twice. If an artifact is
+//! removed although it is needed, the task that misses it has it recreated.
 //!
-//! The list is in memory: what a restart leaves behind is found by `femc gc`, as is what a killed client or worker uploaded
-//! for nothing.
+//! The list is in memory. `femc gc` finds what a restart leaves behind, and what killed clients or workers uploaded in vain.
 
 use std::collections::VecDeque;
 
@@ -17,7 +16,7 @@ use crate::actor::Actor;
 use crate::config::CoordinatorError;
 use crate::wait::Doors;
 
-/// Artifacts on their way out.
+/// Released artifacts that wait for their removal.
 #[derive(Debug, Default)]
 pub(crate) struct Janitor {
     released: VecDeque<(Tick, Vec<Digest>)>,
@@ -27,14 +26,14 @@ pub(crate) struct Janitor {
 impl Janitor {
     /// Milliseconds between release and removal.
     const REST: u64 = 30_000;
-    /// Milliseconds from one removal to the next: each looks at all that the jobs name.
+    /// Milliseconds between two removals. Each of them inspects everything that the jobs name.
     const EVERY: u64 = 2_000;
 
     pub(crate) fn note(&mut self, now: Tick, digests: Vec<Digest>) {
         self.released.push_back((now, digests));
     }
 
-    /// Whether it is time to look at what was released.
+    /// Returns whether the released artifacts should be inspected now.
     fn is_due(&self, now: Tick) -> bool {
         now.since(self.swept) >= Self::EVERY
     }
@@ -50,8 +49,8 @@ impl Janitor {
 }
 
 impl<Q: Queue> Actor<Q> {
-    /// Removes artifacts that are due. The scheduler's facts are made durable first: until then the log still names an artifact that
-    /// the scheduler has released, and a coordinator that reads the log after a crash needs that artifact.
+    /// Removes artifacts that are due. The scheduler's facts are made durable first: until then the log still names artifacts that
+    /// the scheduler has released, and a coordinator that reads the log after a crash would need them.
     pub(crate) async fn sweep(
         &mut self,
         commands: &mut Vec<Command>,

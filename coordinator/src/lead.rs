@@ -1,8 +1,9 @@
-//! One coordinator of several on one PostgreSQL: it stands by, leads, is deposed, stands by again.
+//! Leader election among several coordinators that share one PostgreSQL database. A coordinator is a standby, becomes leader, is
+//! deposed, and is a standby again.
 //!
-//! Whoever does not lead does not listen: a worker or a client that tries it hears so at once, and tries the next. The
-//! port is kept all the same, so that a taken one shows at the start. A term begins with what the log holds and ends with
-//! everything that the coordinator knew: sessions and calls are dropped, and nobody is told what is not durable.
+//! A standby does not listen: a worker or a client that connects to it fails at once and tries the next one. The port is reserved
+//! all the same, so that a conflict shows at the start. A term starts with the content of the log. At its end the coordinator drops
+//! all its state: sessions and calls are closed, and nothing is acknowledged that is not durable.
 
 use std::io;
 use std::net::SocketAddr;
@@ -16,24 +17,24 @@ use tokio::sync::watch;
 use crate::config::{Config, CoordinatorError};
 use crate::start::{Coordinator, Handle};
 
-/// Where a coordinator stands among those of its farm.
+/// State of a coordinator among the coordinators of its farm.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Standing {
-    /// It serves.
+    /// The coordinator is the leader and serves.
     Leads,
-    /// Another serves, or is about to be found dead.
+    /// Another coordinator is the leader, or its death has not been detected yet.
     StandsBy {
-        /// Where the other is reached, once that is known.
+        /// URL of the leader, once it is known.
         leader: Option<String>,
     },
-    /// It looks for its database.
+    /// The coordinator cannot reach its database and retries.
     Seeks {
         /// Error of the last attempt to reach the database.
         message: String,
     },
 }
 
-/// A candidate, with all that it needs for a term.
+/// A candidate for leadership, with everything that it needs for a term.
 struct Candidate {
     config: Config,
     store: Store,
@@ -43,8 +44,8 @@ struct Candidate {
     stopped: watch::Receiver<()>,
 }
 
-/// Waits for its turn on the current tokio runtime. Fails if the database is not there now: a wrong address shall not look
-/// like patience.
+/// Starts a candidate on the current tokio runtime. Fails if the database cannot be reached now, so that a wrong address does not
+/// look like waiting.
 pub(crate) async fn start(
     config: Config,
     store: Store,
@@ -62,11 +63,11 @@ pub(crate) async fn start(
     Ok(Handle::new(address, url, stop, run, news))
 }
 
-/// The port, without listening on it.
+/// Reserves the port without listening on it.
 fn reserve(address: SocketAddr) -> Result<(TcpSocket, SocketAddr), CoordinatorError> {
     let bound = || -> io::Result<_> {
         let port = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
-        // Connections of an earlier term that still close shall not hinder; as `TcpListener::bind` has it.
+        // Connections of an earlier term that are still closing must not block the port. `TcpListener::bind` does the same.
         #[cfg(unix)]
         port.set_reuseaddr(true)?;
         port.bind(address)?;
@@ -77,9 +78,9 @@ fn reserve(address: SocketAddr) -> Result<(TcpSocket, SocketAddr), CoordinatorEr
 }
 
 impl Candidate {
-    /// Connections that may wait to be accepted.
+    /// Maximum number of connections that wait to be accepted.
     const BACKLOG: u32 = 1024;
-    /// First pause after the database was lost; it doubles.
+    /// First pause after the connection to the database was lost. Later pauses double.
     const FIRST_PAUSE: Duration = Duration::from_millis(100);
     /// Longest pause.
     const LONGEST_PAUSE: Duration = Duration::from_secs(3);
@@ -89,7 +90,7 @@ impl Candidate {
         Ok(standby.with(self.config.loss))
     }
 
-    /// Until it is told to stop, or something is broken that waiting does not mend.
+    /// Runs until it is stopped, or an error occurs that retries cannot resolve.
     async fn run(self, standby: Standby, port: TcpSocket) -> Result<(), CoordinatorError> {
         let (mut standby, mut port) = (Some(standby), Some(port));
         let mut pause = Self::FIRST_PAUSE;
@@ -112,7 +113,7 @@ impl Candidate {
                 Err(CoordinatorError::Queue(error)) if error.remedy() == Remedy::Reopen => self.note(&error),
                 Err(error) => return Err(error),
             }
-            // Taken again at once, before somebody else's connection gets it; if it cannot be had now, the next term tries.
+            // Reserve the port again at once, before another program takes it. If this fails, the next term retries.
             port = port.or_else(|| reserve(self.config.listen).ok().map(|(port, _)| port));
             tokio::select! {
                 biased;
@@ -122,7 +123,7 @@ impl Candidate {
         }
     }
 
-    /// Waits until it leads; tells who does meanwhile.
+    /// Waits until this coordinator is the leader. Publishes the present leader meanwhile.
     async fn elected(&self, standby: Option<Standby>) -> Result<Postgres, QueueError> {
         let standby = match standby {
             Some(standby) => standby,
@@ -131,7 +132,7 @@ impl Candidate {
         standby.lead(|Leader { url, .. }| self.tell(Standing::StandsBy { leader: Some(url) })).await
     }
 
-    /// Leads until it is told to stop or may lead no longer.
+    /// Leads until it is stopped or deposed.
     async fn term(&self, queue: Postgres, port: Option<TcpSocket>) -> Result<(), CoordinatorError> {
         let epoch = queue.epoch();
         let address = self.config.listen;

@@ -1,10 +1,10 @@
-//! The farm's server: a shell around the scheduler.
+//! Coordinator of the farm: a shell around the scheduler.
 //!
-//! One task owns the scheduler and the log. It takes what has come in since the last time, lets the scheduler say what follows,
-//! makes the facts durable in one go, and only then executes the commands: nobody hears of what a crash could undo. If there is
-//! no room for the log it waits until there is. If the log cannot be written at all the coordinator stops, because what it knows
-//! is ahead of what is durable; one of several stands by instead, and begins anew from the log when it leads again. Artifacts go
-//! past it, straight into the store.
+//! One tokio task owns the scheduler and the log. It takes all messages that have arrived, passes them to the scheduler, makes the
+//! resulting facts durable together, and only then executes the commands. So nothing is acknowledged that a crash could undo. If
+//! there is no space for the log, the coordinator waits. If the log cannot be written at all, it stops, because its state is ahead
+//! of the durable state. If there are several coordinators, it becomes a standby instead, and restarts from the log when it leads
+//! again. Artifacts bypass the actor and go straight to the store.
 #![deny(missing_docs)]
 
 mod actor;

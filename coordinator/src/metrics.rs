@@ -1,7 +1,7 @@
-//! What a coordinator counts over its life, whoever leads meanwhile, and the page that shows it.
+//! Metrics of a coordinator over its life, across changes of leadership, and the page that shows them.
 //!
-//! What there is at the moment (jobs, tasks, workers) is asked of the actor when somebody wants to know; what happens is
-//! counted when it does. Labels have few values: no job, owner or worker is one.
+//! Present numbers of jobs, tasks and workers are requested from the actor when the page is read. Events are counted when they
+//! happen. Labels have few values: never a job, an owner or a worker.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,29 +16,29 @@ use tokio::sync::{mpsc, oneshot};
 use crate::disks::Disks;
 use crate::lead::Standing;
 
-/// Counts what a coordinator does; clones are the same one.
+/// Metrics of a coordinator. Clones share the counters.
 #[derive(Debug, Clone, Default)]
 pub struct Metrics(Arc<Inner>);
 
-/// Where an actor is asked for figures.
+/// Channel to request the present numbers from an actor.
 pub(crate) type Ask = mpsc::Sender<oneshot::Sender<Now>>;
 
-/// How much there is.
+/// Present numbers.
 #[derive(Debug)]
 pub(crate) struct Now {
     pub(crate) figures: Figures,
-    /// Records of the log since its snapshot.
+    /// Number of log records since the last snapshot.
     pub(crate) records: usize,
 }
 
 #[derive(Debug)]
 struct Inner {
-    /// The actor, while this coordinator leads.
+    /// Channel to the actor, while this coordinator leads.
     actor: Mutex<Option<Ask>>,
-    /// The log, where it is a file.
+    /// Log file, if the log is a file.
     file: Mutex<Option<PathBuf>>,
     disks: Mutex<Option<Disks>>,
-    /// Why nothing can be made durable at the moment.
+    /// Reason why nothing can be made durable at present.
     waits: Mutex<Option<String>>,
     terms: Counter,
     sessions: Counter,
@@ -77,7 +77,7 @@ impl Default for Inner {
 }
 
 impl Metrics {
-    /// How long an actor may take to answer: one that is well does so between two writes to the disk.
+    /// Time limit for the actor's answer. A healthy actor answers between two writes to the disk.
     const PATIENCE: Duration = Duration::from_secs(5);
 
     pub(crate) fn traffic(&self) -> Traffic {
@@ -88,7 +88,7 @@ impl Metrics {
         *self.0.file.lock().unwrap_or_else(PoisonError::into_inner) = Some(file);
     }
 
-    /// This coordinator leads from now on, and this is whom to ask.
+    /// Notes that this coordinator leads from now on, and stores the channel to its actor.
     pub(crate) fn leads(&self, actor: Ask) {
         self.0.terms.add(1);
         *self.0.actor.lock().unwrap_or_else(PoisonError::into_inner) = Some(actor);
@@ -98,7 +98,7 @@ impl Metrics {
         *self.0.disks.lock().unwrap_or_else(PoisonError::into_inner) = Some(disks);
     }
 
-    /// Nothing can be made durable, and why; or it can again.
+    /// Notes the reason why nothing can be made durable, or `None` when that is possible again.
     pub(crate) fn waits(&self, why: Option<String>) {
         *self.0.waits.lock().unwrap_or_else(PoisonError::into_inner) = why;
     }
@@ -107,7 +107,7 @@ impl Metrics {
         self.0.sessions.add(1);
     }
 
-    /// A batch of so many bytes is durable.
+    /// Counts a batch of `bytes` that has become durable.
     pub(crate) fn appended(&self, bytes: usize, took: Duration) {
         self.0.appends.note(took);
         self.0.appended.add(bytes as u64);
@@ -117,12 +117,12 @@ impl Metrics {
         self.0.snapshots.note(took);
     }
 
-    /// A worker says that it has failed.
+    /// Counts a failure that a worker reports.
     pub(crate) fn failed(&self, failure: &Failure) {
         self.0.failures.add(failure.cause(), 1);
     }
 
-    /// What follows from an event.
+    /// Counts a command of the scheduler.
     pub(crate) fn on_command(&self, command: &Command) {
         match command {
             Command::Record(Fact::Done { task, .. }) => {
@@ -146,7 +146,7 @@ impl Metrics {
         }
     }
 
-    /// What the actor says; `None`: this coordinator does not lead, or its actor does not answer.
+    /// Requests the present numbers; `None`: this coordinator does not lead, or its actor does not answer.
     async fn now(&self) -> Option<Now> {
         let actor = self.0.actor.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
         let (reply, answer) = oneshot::channel();
@@ -157,7 +157,7 @@ impl Metrics {
         tokio::time::timeout(Self::PATIENCE, ask).await.ok()?
     }
 
-    /// How the coordinator is, and its page.
+    /// Returns the health of the coordinator and its metrics page.
     pub async fn report(&self, standing: &Standing) -> Report {
         let now = match standing {
             Standing::Leads => self.now().await,

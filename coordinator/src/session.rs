@@ -1,4 +1,4 @@
-//! A worker's session: its reader, which also sees that what is reported is really in the store.
+//! Sessions of workers. The reader of a session also checks that reported artifacts really are in the store.
 
 use femc_model::{
     Artifact, Digest, Failure, FromWorker, JobId, JobSpec, Latest, LogText, TaskResult, ToWorker, WorkerId,
@@ -9,11 +9,11 @@ use tokio::sync::mpsc;
 
 use crate::actor::SessionEvent;
 
-/// The actor's end of a session.
+/// Actor's end of a session.
 #[derive(Debug)]
 pub(crate) struct Worker {
     pub(crate) out: mpsc::Sender<ToWorker>,
-    /// Jobs that it has been told about, the latest: others are told again.
+    /// Jobs whose specification was sent most recently. Any other job is sent, or sent again, before its tasks.
     pub(crate) jobs: Latest<JobId, ()>,
 }
 
@@ -23,7 +23,7 @@ impl Worker {
     }
 }
 
-/// Passes on what the worker says until it says no more.
+/// Forwards the worker's messages until the session ends.
 pub(crate) async fn listen(
     worker: WorkerId,
     mut messages: WorkerMessages,
@@ -48,12 +48,13 @@ pub(crate) async fn listen(
             return;
         }
     }
-    // The actor is gone: then there is nobody to tell.
+    // The send fails if the actor is gone. This is ignored.
     let _ = actor.send((worker, SessionEvent::Over)).await;
 }
 
-/// A completion whose artifacts are not all in the store becomes [`SessionEvent::ArtifactMissing`]. Artifacts that a worker calls
-/// lost are read, which removes those that are damaged, so that they can be put again.
+/// Checks a message against the store. A completion whose artifacts are not all in the store becomes
+/// [`SessionEvent::ArtifactMissing`]. Artifacts that a worker reports as lost are read. This removes damaged ones, so that they can
+/// be uploaded again.
 async fn checked(mut message: FromWorker, store: &Store) -> SessionEvent {
     check_log(&mut message, store).await;
     if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &message {
@@ -73,8 +74,8 @@ async fn checked(mut message: FromWorker, store: &Store) -> SessionEvent {
     }
 }
 
-/// The first artifact of a result that is not in the store as it should be, and what the store says. One that is damaged is
-/// removed: it is wanted again when somebody offers it.
+/// Returns the first artifact of a result that is missing or damaged in the store, with the store's message. A damaged artifact is
+/// removed, so that it is accepted when it is uploaded again.
 async fn lacking(result: &TaskResult, store: &Store) -> Option<(Digest, String)> {
     for artifact in result.artifacts() {
         let Artifact { digest, bytes } = artifact;
@@ -90,7 +91,7 @@ async fn lacking(result: &TaskResult, store: &Store) -> Option<(Digest, String)>
     None
 }
 
-/// A log that did not arrive says so; it is no reason to do the task again.
+/// Replaces a log that did not arrive with a text that says so. The task is not repeated because of it.
 async fn check_log(message: &mut FromWorker, store: &Store) {
     let (FromWorker::Completed { log: Some(log), .. } | FromWorker::Failed { log: Some(log), .. }) = message else {
         return;

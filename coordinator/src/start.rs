@@ -1,4 +1,4 @@
-//! Starting, and stopping without haste.
+//! Start and graceful stop of a coordinator.
 
 use std::future::Future;
 use std::io;
@@ -23,28 +23,28 @@ use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
 use crate::lead::{self, Standing};
 use crate::wait::Doors;
 
-/// Ends when the server is to stop.
+/// Future that completes when the server must stop.
 type Until = Pin<Box<dyn Future<Output = ()> + Send>>;
 
-/// Ends when the server has stopped.
+/// Future that completes when the server has stopped.
 type Serving = Pin<Box<dyn Future<Output = Result<(), ServeError>> + Send>>;
 
-/// The farm's server.
+/// Coordinator of the farm.
 #[derive(Debug)]
 pub struct Coordinator;
 
 impl Coordinator {
-    /// Calls that may wait for the actor.
+    /// Maximum number of calls that wait for the actor.
     const CALLS: usize = 1024;
 
-    /// Starts on the current tokio runtime; it listens when this returns, but for a coordinator of several, which waits for
-    /// its turn: [`Handle::standing`] tells.
+    /// Starts on the current tokio runtime. When this returns, the coordinator listens, unless it is one of several: then it may be
+    /// a standby, see [`Handle::standing`].
     pub async fn start(config: Config) -> Result<Handle, CoordinatorError> {
         Self::boxed(config).await
     }
 
-    /// [`Self::open`] as a boxed future. The compiler generates an async function where it is polled; the box makes that this crate
-    /// instead of every program that starts a coordinator.
+    /// [`Self::open`] as a boxed future. The compiler generates the code of an async function in the crate that polls it. With the
+    /// box, that is this crate, and not every program that starts a coordinator.
     #[inline(never)]
     fn boxed(config: Config) -> Pin<Box<dyn Future<Output = Result<Handle, CoordinatorError>> + Send>> {
         Box::pin(Self::open(config))
@@ -63,7 +63,7 @@ impl Coordinator {
             let store = store.clone();
             async move {
                 if let Err(error) = store.probe().await {
-                    // It may come back; until then whoever needs it is told.
+                    // The store may come back. Until then, requests that need it fail.
                     tracing::warn!(%error, "the artifact store does not answer");
                 }
             }
@@ -79,7 +79,7 @@ impl Coordinator {
         }
     }
 
-    /// Starts with this log and this store, whatever `config` says of them.
+    /// Starts with this log and this store. Ignores those in `config`.
     pub async fn with(config: Config, store: Store, queue: impl Queue) -> Result<Handle, CoordinatorError> {
         let listen = |error| CoordinatorError::Listen { address: config.listen, error };
         let listener = TcpListener::bind(config.listen).await.map_err(listen)?;
@@ -87,7 +87,7 @@ impl Coordinator {
         Self::at(listener, Config { listen: address, ..config }, store, queue).await
     }
 
-    /// The same on a port that listens already; its address is `config.listen`.
+    /// Like [`Self::with`], on a port that already listens. Its address is `config.listen`.
     pub(crate) async fn at(
         listener: TcpListener,
         config: Config,
@@ -99,8 +99,8 @@ impl Coordinator {
         Self::begin(config, store, AnyQueue::new(queue), Box::new(serve)).await
     }
 
-    /// The same on connections that come in some other way than over TCP, and that end when `incoming` is dropped;
-    /// `config.listen` is only told to others.
+    /// Like [`Self::with`], on connections that do not arrive over TCP, and that end when `incoming` is dropped. `config.listen` is
+    /// only the address that is reported to others.
     pub async fn on<C: Io + Connected>(
         incoming: impl Stream<Item = io::Result<C>> + Send + 'static,
         config: Config,
@@ -143,7 +143,7 @@ impl Coordinator {
                 .noting(config.audit)
                 .showing(config.site),
             Box::pin(async move {
-                // Ends when the sender is dropped: on a stop, or because the actor is gone.
+                // Completes when the sender is dropped: on a stop, or because the actor has ended.
                 let _ = until.changed().await;
             }),
         );
@@ -152,18 +152,18 @@ impl Coordinator {
         let run = tokio::spawn(async move {
             let outcome = actor.await.unwrap_or(Err(CoordinatorError::Panicked));
             if outcome.is_err() {
-                // What it says from now on could be wrong.
+                // Answers from now on could be wrong.
                 server.abort();
                 let _ = server.await;
                 return outcome;
             }
             drop(serving);
-            // Whoever holds a connection open is not waited for.
+            // Wait for a limited time only: a client may hold its connection open.
             let grace = tokio::time::timeout(Duration::from_secs(1), &mut server).await;
             outcome.and(match grace {
                 Ok(server) => server.unwrap_or(Err(CoordinatorError::Panicked)),
                 Err(_) => {
-                    // Frees the port before this is over.
+                    // Frees the port before this returns.
                     server.abort();
                     let _ = server.await;
                     Ok(())
@@ -174,7 +174,7 @@ impl Coordinator {
     }
 }
 
-/// The scheduler as the log has it, and the number of records since the snapshot.
+/// Restores the scheduler from the log. Returns it with the number of records since the snapshot.
 async fn recover(config: &Config, queue: &mut AnyQueue) -> Result<(Scheduler, usize), CoordinatorError> {
     let contents = queue.load().await?;
     if contents.torn > 0 {
@@ -199,7 +199,7 @@ async fn recover(config: &Config, queue: &mut AnyQueue) -> Result<(Scheduler, us
     Ok((scheduler, contents.records.len() + 1))
 }
 
-/// Who has been there, as it was noted last; one that cannot be read is begun anew.
+/// Reads the last note with the roster of workers. If it cannot be read, the roster starts empty.
 async fn roster(queue: &mut AnyQueue) -> Result<Roster, CoordinatorError> {
     let notes = queue.notes(ROSTER, 0).await?.notes;
     let read = notes.last().map(|note| Roster::decode(note)).transpose();
@@ -211,7 +211,7 @@ async fn roster(queue: &mut AnyQueue) -> Result<Roster, CoordinatorError> {
         .unwrap_or_default())
 }
 
-/// Says what was acknowledged and is given up.
+/// Logs which acknowledged records are given up.
 fn own_up(config: &Config, Lost { kept, known }: Lost) {
     let what = match known {
         Some(known) => format!("the log's records {} to {known} at least are lost", kept + 1),
@@ -250,28 +250,28 @@ impl Handle {
         Self { address, url, stop, run, standing }
     }
 
-    /// Where it stands among the coordinators of its farm, now and later; one that is alone leads.
+    /// Returns the present and future state among the coordinators of the farm. A single coordinator leads.
     pub fn standing(&self) -> watch::Receiver<Standing> {
         self.standing.clone()
     }
 
-    /// Where it listens; the port is the real one.
+    /// Returns the address on which it listens, with the actual port.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// The address as workers and clients want it.
+    /// Returns the URL for workers and clients.
     pub fn url(&self) -> String {
         self.url.clone()
     }
 
-    /// Says goodbye to the workers, makes durable what has come in, and ends.
+    /// Says goodbye to the workers, makes all received messages durable, and stops.
     pub async fn stop(self) -> Result<(), CoordinatorError> {
         drop(self.stop);
         self.run.await.unwrap_or(Err(CoordinatorError::Panicked))
     }
 
-    /// Waits until it ends by itself: because something is broken.
+    /// Waits until the coordinator stops because of an error, and returns the error.
     pub async fn failed(&mut self) -> CoordinatorError {
         match (&mut self.run).await {
             Ok(Err(error)) => error,

@@ -1,4 +1,4 @@
-//! The relative error that frames are to reach, as statuses show it. It stands in a job's settings, which the scheduler does not read.
+//! Target relative errors of frames, for statuses. They are part of a job's settings, which the scheduler does not read.
 
 use std::collections::BTreeMap;
 
@@ -6,12 +6,12 @@ use femc_model::{JobId, JobStatus, Refusal, Tick};
 use femc_proto::error_target;
 use femc_schedule::{Fact, Scheduler};
 
-/// Targets of jobs: a specification never changes, so its settings are read once.
+/// Targets by job. A specification never changes, so its settings are read once.
 #[derive(Debug, Default)]
 pub(crate) struct Targets(BTreeMap<JobId, Option<f64>>);
 
 impl Targets {
-    /// A job's status with its target.
+    /// Returns a job's status with its target.
     pub(crate) fn status(&mut self, scheduler: &Scheduler, job: JobId, now: Tick) -> Result<JobStatus, Refusal> {
         scheduler.status(job, now).map(|status| self.fill(scheduler, status))
     }
@@ -23,7 +23,7 @@ impl Targets {
         JobStatus { error_target, ..status }
     }
 
-    /// Forgets the target of a job that is forgotten.
+    /// Drops the target of a deleted job.
     pub(crate) fn on_fact(&mut self, fact: &Fact) {
         if let Fact::Forgotten { job } = fact {
             self.0.remove(job);

@@ -1,9 +1,9 @@
-//! While there is no room for the log: what is known and not durable is kept, and told to nobody.
+//! Waiting while there is no space for the log. Facts that are not durable are kept and not acknowledged.
 //!
-//! The coordinator's clock stands still, as it does while it is down, so that no lease runs out and no task seems to stall.
-//! Workers are told that their leases hold, for as long as they did when the clock stopped; they go on computing. What else
-//! they say is put off, so much of it; then they wait. Whoever wants something is told to come again. So what is kept does
-//! not grow, and when there is room everything goes on where it was.
+//! The coordinator's clock is stopped, as it is while the coordinator is down, so that no lease expires and no task seems to stall.
+//! Heartbeats are answered with the lease times at which the clock stopped, so workers continue to compute. Their other messages
+//! are deferred, up to a limit; beyond it, workers wait. Clients are asked to retry. So the amount of kept data is bounded, and
+//! when there is space again everything resumes.
 
 use femc_model::{FromWorker, Refusal, WorkerId};
 use femc_proto::{Call, References, Reply};
@@ -15,27 +15,27 @@ use tokio::time::Duration;
 use crate::actor::{Actor, PendingReply, ROSTER, SessionEvent};
 use crate::config::CoordinatorError;
 
-/// Where calls come in, and the end.
+/// Inputs of the actor: calls, and the stop signal.
 #[derive(Debug)]
 pub(crate) struct Doors {
     pub(crate) calls: mpsc::Receiver<Call>,
     pub(crate) stop: watch::Receiver<()>,
 }
 
-/// What is not durable yet.
+/// Batch that is not durable yet.
 pub(crate) struct Pending<'a> {
     pub(crate) batch: Batch<'a>,
-    /// Commands that follow from the batch.
+    /// Commands that result from the batch.
     pub(crate) commands: &'a [Command],
 }
 
 impl<Q: Queue> Actor<Q> {
-    /// Between two attempts.
+    /// Pause between two attempts to write.
     const AGAIN: Duration = Duration::from_millis(500);
-    /// Most session events that are put off.
+    /// Maximum number of deferred session events.
     const PUT_OFF: usize = 4096;
 
-    /// Appends, as soon as there is room.
+    /// Appends the batch, as soon as there is space.
     pub(crate) async fn keep(&mut self, pending: Pending<'_>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         let mut waits = false;
         loop {
@@ -62,8 +62,8 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// Whoever waits for an answer of these commands hears now why there is none. What was asked for is done all the same when there is
-    /// room: a submission with a key can be repeated, and steering twice is steering once.
+    /// Refuses the callers that wait for an answer of these commands, with the reason. Their requests take effect all the same when
+    /// there is space. This is safe: a submission with a key can be repeated, and so can a control.
     fn answer_early(&mut self, error: &QueueError, commands: &[Command]) {
         for command in commands {
             let Command::Answer { request, answer: Ok(_) } = command else { continue };
@@ -76,7 +76,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// Keeps everybody calm for a moment.
+    /// Serves workers and callers for one pause.
     async fn pause(
         &mut self,
         error: QueueError,
@@ -100,7 +100,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// A heartbeat is answered, everything else is heard later.
+    /// Answers a heartbeat. Defers all other events.
     fn put_off(&mut self, worker: WorkerId, event: SessionEvent) {
         if let SessionEvent::Said(said) = &event
             && let FromWorker::Heartbeat { number, usage, .. } = &**said
@@ -113,7 +113,7 @@ impl<Q: Queue> Actor<Q> {
         self.put_off.push_back((worker, event));
     }
 
-    /// Whoever asked and went away does not hear it.
+    /// Refuses a call, except for [`Call::References`] where possible. The answer is lost if the caller has disconnected.
     fn turn_away(&self, call: Call, error: &QueueError, pending: &Pending<'_>) {
         let no =
             || Refusal::Unavailable { message: format!("{error}; nothing is lost, and it goes on when there is room") };
@@ -123,7 +123,8 @@ impl<Q: Queue> Actor<Q> {
                 let place = self.disks.refusal().unwrap_or(Refusal::NoRoom { place: "the log".into(), free: 0 });
                 drop(reply.send(Err(place)));
             }
-            // Garbage is what makes room. What is not durable yet may have released something that the log still names.
+            // Garbage collection can make space, so this call is answered. Facts that are not durable yet may have released
+            // artifacts that the log still names, so these are added.
             Call::References { reply } if pending.batch.forgotten.iter().all(|subject| *subject == ROSTER) => {
                 let References { mut artifacts, scenes } = self.references();
                 let released = pending.commands.iter().flat_map(|command| match command {
@@ -133,7 +134,7 @@ impl<Q: Queue> Actor<Q> {
                 artifacts.extend(released);
                 drop(reply.send(Ok(References { artifacts, scenes })));
             }
-            // It comes again, with what it has done.
+            // The worker reconnects later with its results.
             Call::Session(session) => drop(session),
             Call::Control { reply, .. } => refuse(reply, no()),
             Call::List { reply } => refuse(reply, no()),

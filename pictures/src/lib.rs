@@ -1,8 +1,8 @@
-//! Frames of a farm as pictures: where the service, which knows nothing of light, meets the film.
+//! Pictures of a farm's frames. This crate connects the service, which has no rendering code, with the film.
 //!
-//! [`draw`] is what [`femc_service::Site`] wants: thumbnails as PNG, pixels, and what light statistics know of
-//! each, as planes of half floats. [`Partial`] is a frame in work,
-//! the same union that the farm will make, of what is there.
+//! [`draw`] is the function that [`femc_service::Site`] takes. It draws thumbnails as PNG, and pixels and light statistics as
+//! planes of half floats. [`Partial`] is an unfinished frame. It combines the available outputs as the farm will combine all of
+//! them.
 #![deny(missing_docs)]
 
 mod partial;
@@ -17,7 +17,7 @@ use std::io::Cursor;
 pub use partial::Partial;
 
 /// Draws a frame as a thumbnail or as planes of its pixels.
-/// - errors: what is wrong with the source.
+/// - errors: the fault of the source.
 pub fn draw(source: Source, wanted: Wanted) -> Result<Vec<u8>, String> {
     drawn(source, wanted).map_err(|error| error.to_string())
 }
@@ -49,7 +49,7 @@ fn drawn(source: Source, wanted: Wanted) -> Result<Vec<u8>, FilmError> {
     }
 }
 
-/// Whether an output of this role shows pixels of a frame in work.
+/// Returns whether an output of this role shows pixels of an unfinished frame.
 pub fn shows_pixels(role: Role) -> bool {
     matches!(role, Role::Tile | Role::Sums | Role::Pixels)
 }

@@ -1,24 +1,24 @@
-//! A frame in work: the same union that the farm will make, of what is there.
+//! Unfinished frames. The available outputs are combined as the farm will combine all of them.
 
 use crate::shows_pixels;
 use femc_film::{BadSamples, FilmError, Frame, FrameImage, Piece, Tile, Tiling};
 use femc_model::{FrameParts, Role};
 
-/// A frame as far as it is done; it grows.
+/// An unfinished frame, to which outputs are added.
 pub struct Partial {
     union: Frame,
-    /// Of groups of tiles, which take the place of what is in `union`.
+    /// Resolved groups of tiles. They replace the tiles in `union`.
     pieces: Vec<Piece>,
 }
 
 impl Partial {
-    /// Nothing of a frame yet.
+    /// Makes a frame without outputs.
     pub fn new(parts: &FrameParts) -> Result<Self, FilmError> {
         let ([width, height], edge) = (parts.grid.film, parts.grid.tile);
         Ok(Self { union: Frame::new(Tiling::new(width, height, edge)?), pieces: Vec::new() })
     }
 
-    /// Takes in an output; one that shows no pixels changes nothing.
+    /// Adds an output. Outputs that show no pixels are ignored.
     pub fn insert(&mut self, role: Role, bytes: &[u8]) -> Result<(), FilmError> {
         debug_assert!(shows_pixels(role));
         match role {
@@ -36,14 +36,14 @@ impl Partial {
         tiles.into_iter().try_for_each(|tile| self.union.insert(tile).map(drop))
     }
 
-    /// The image; black where nothing is rendered yet.
+    /// Returns the image. It is black where nothing is rendered yet.
     pub fn image(&self) -> Result<FrameImage, FilmError> {
         let mut image = self.union.resolve();
         self.pieces.iter().try_for_each(|piece| image.put(piece))?;
         Ok(image)
     }
 
-    /// Account of the samples that were left out.
+    /// Returns the counts of samples that were left out.
     pub fn bad(&self) -> BadSamples {
         let mut bad = BadSamples::default();
         let is_loose = |index: &usize| !self.pieces.iter().any(|piece| piece.tiles().contains(index));

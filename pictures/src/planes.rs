@@ -1,6 +1,6 @@
-//! A frame for a page that shows radiances: planes of half floats, one channel after the other.
+//! Encoding of a frame for a page that shows radiances: planes of half floats, one channel after the other.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 4 | `FMXC` |
 //! | 4 | version, 1 |
@@ -9,11 +9,22 @@
 //! | each | length of its name (4), its name |
 //! | each | width x height half floats, row by row from the top left |
 //!
-//! All little-endian. Channels: R, G, B (linear Rec.709), Y (cd/m2), error (of the pixel's block of 16 x 16: half width of the 95 %
-//! interval of its mean luminance, relative to that), standard_error (of the pixel's luminance, relative to it), freedom (degrees of freedom
-//! of the standard error), samples; -1 where an error is not known. A standard error and no variance, since half floats end at 6e-8. Of
-//! light statistics: depth (intersections of a path, mean), throughput (at its end, mean), deviation (standard deviation of the luminance
-//! of a sample, cd/m2); -1 where a pixel has no sample. Values beyond the range of half floats become the greatest half float.
+//! All numbers are little-endian. The channels are:
+//! - R, G, B: linear Rec.709.
+//! - Y: luminance in cd/m2.
+//! - error: half width of the 95 % interval of the mean luminance of the pixel's block of 16 x 16, relative to that mean. -1 where
+//!   it is not known.
+//! - standard_error: standard error of the pixel's luminance, relative to it. -1 where it is not known. It is stored instead of the
+//!   variance, because half floats end at 6e-8.
+//! - freedom: degrees of freedom of the standard error. -1 where it is not known.
+//! - samples: number of samples.
+//!
+//! Light statistics have these channels, with -1 where a pixel has no sample:
+//! - depth: mean number of intersections of a path.
+//! - throughput: mean throughput at the end of a path.
+//! - deviation: standard deviation of the luminance of a sample in cd/m2.
+//!
+//! Values beyond the range of half floats become the greatest half float.
 
 use femc_film::{FilmError, FrameImage, Image, PixelChannels, PixelError, exr, pixel_errors};
 use femc_paths::Statistics;
@@ -23,12 +34,12 @@ use std::io::Cursor;
 
 const MAGIC: &[u8; 4] = b"FMXC";
 const VERSION: u32 = 1;
-/// Value of what is not known.
+/// Value that stands for "not known".
 const UNKNOWN: f32 = -1.0;
 const NAMES: [&str; 8] = ["R", "G", "B", "Y", "error", "standard_error", "freedom", "samples"];
 const MAPS: [&str; 3] = ["depth", "throughput", "deviation"];
 
-/// Of a finished frame.
+/// Encodes a finished frame.
 pub fn of_exr(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
     let names = ["R", "G", "B", "relative_error.Y", "variance.Y", "samples.Y"];
     let (width, height, [r, g, b, errors, variance, samples]) = exr::decode_channels(Cursor::new(bytes), names)?;
@@ -36,15 +47,16 @@ pub fn of_exr(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
     Ok(encode(&Image { width, height, pixels }, &errors, &variance, &samples))
 }
 
-/// Of a frame in work.
+/// Encodes an unfinished frame.
 pub fn of_frame(image: &FrameImage) -> Vec<u8> {
     let errors = exr::errors(&image.error(), image);
     let samples: Vec<f32> = image.samples.iter().map(|&samples| samples as f32).collect();
     encode(&image.color, &errors, &image.luminance_variance, &samples)
 }
 
-/// - `errors`: relative, of the pixels' blocks.
-/// - `variance`: of the pixels' luminance.
+/// Encodes an image and its errors.
+/// - `errors`: relative errors of the pixels' blocks.
+/// - `variance`: variances of the pixels' luminance.
 fn encode(image: &Image, errors: &[f32], variance: &[f32], samples: &[f32]) -> Vec<u8> {
     let luminance: Vec<f32> = (0..image.pixels.len()).map(|at| image.luminance(at)).collect();
     let width = image.width as usize;
@@ -62,7 +74,7 @@ fn encode(image: &Image, errors: &[f32], variance: &[f32], samples: &[f32]) -> V
     bytes
 }
 
-/// Of a frame's light statistics.
+/// Encodes the light statistics of a frame.
 pub fn of_statistics(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
     let statistics = Statistics::decode(bytes).map_err(|_| FilmError::Corrupt("the light statistics are damaged"))?;
     let maps = Maps::of(&statistics);
@@ -76,7 +88,7 @@ pub fn of_statistics(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
     Ok(bytes)
 }
 
-/// What stands before the planes; there is room behind it for all of them.
+/// Returns the header, with capacity for all planes after it.
 fn head([width, height]: [u32; 2], names: &[&str]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(128 + 2 * names.len() * width as usize * height as usize);
     bytes.extend(MAGIC);
@@ -131,7 +143,7 @@ mod tests {
         assert_eq!(f16::from_f32(1e-12).to_f32(), 0.0);
     }
 
-    /// Planes by their names, as a page reads them.
+    /// Decodes planes by name, as a page does.
     fn read(bytes: &[u8]) -> BTreeMap<String, Vec<f32>> {
         let [width, height, channels] = [8, 12, 16].map(|at| number(bytes, at) as usize);
         let mut at = 20;
@@ -147,7 +159,8 @@ mod tests {
         names.into_iter().zip(planes.map(|plane| plane.chunks(2).map(float).collect())).collect()
     }
 
-    /// A frame of 40 x 20 pixels: each differs, tiles have different numbers of samples, a tile has none, some pixels are black.
+    /// Makes a frame of 40 x 20 pixels: all pixels differ, tiles have different numbers of samples, a tile has none, some pixels
+    /// are black.
     fn frame() -> FrameImage {
         let mut image = FrameImage::black(40, 20);
         for at in 0..800 {
@@ -189,7 +202,7 @@ mod tests {
         let is_lit = |at: usize| luminance(at) > 0.0 && of_file("samples.Y", at) >= 2.0;
         let mut unlit = 0;
         for (x, y) in (0..20).flat_map(|y| (0..40).map(move |x| (x, y))) {
-            // Pool of the neighbors, written down anew.
+            // Independent implementation of the pool over the neighbors.
             let at = (y * 40 + x) as usize;
             let (mut sum, mut pool) = (0.0, 0.0);
             for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
@@ -215,7 +228,7 @@ mod tests {
             ] {
                 let due = due.min(65504.0);
                 let is = f64::from(planes[name][at]);
-                // Half a unit in the last place of a half float, and the rounding of single precision.
+                // Tolerance: half a unit in the last place of a half float, plus single-precision rounding.
                 assert!((is - due).abs() <= due.abs() * 5e-4 + 1e-7, "{name} at {x}, {y}: {is}, not {due}");
             }
         }

@@ -1,19 +1,19 @@
-//! Small pictures: each pixel is the mean of a block, of radiances where they are known, else of what a display shows.
+//! Thumbnails. Each pixel is the mean of a block: of radiances where they are known, otherwise of display values.
 
 use femc_film::{FilmError, Image, Picture, ToneCurve};
 
-/// Of an image, under automatic exposure, with so many rows at most.
+/// Makes a thumbnail of an image, with automatic exposure and at most `rows` rows.
 pub fn of_image(image: &Image, rows: u32) -> Result<Vec<u8>, FilmError> {
     let (width, height) = smaller(image.width, image.height, rows);
     let pixels = means((image.width, image.height), (width, height), |at| {
-        // What is not finite would take the whole block with it.
+        // A value that is not finite would spoil the whole block.
         image.pixels[at].map(|value| if value.is_finite() { f64::from(value) } else { 0.0 })
     });
     let small = Image { width, height, pixels: pixels.into_iter().map(|mean| mean.map(|v| v as f32)).collect() };
     ToneCurve::auto([&small]).picture(&small).to_png()
 }
 
-/// Of a PNG file as the farm writes it, with so many rows at most.
+/// Makes a thumbnail of a PNG file that the farm wrote, with at most `rows` rows.
 pub fn of_picture(png: &[u8], rows: u32) -> Result<Vec<u8>, FilmError> {
     let picture = Picture::from_png(png)?;
     let (width, height) = smaller(picture.width, picture.height, rows);
@@ -22,7 +22,7 @@ pub fn of_picture(png: &[u8], rows: u32) -> Result<Vec<u8>, FilmError> {
     Picture { width, height, pixels }.to_png()
 }
 
-/// Columns and rows with the same aspect, none more than there are.
+/// Returns the columns and rows of a thumbnail with the same aspect ratio, never more than the image has.
 fn smaller(width: u32, height: u32, rows: u32) -> (u32, u32) {
     if height <= rows {
         return (width, height);
@@ -31,7 +31,7 @@ fn smaller(width: u32, height: u32, rows: u32) -> (u32, u32) {
     (columns.clamp(1, u64::from(width.max(1))) as u32, rows)
 }
 
-/// The mean of each block of pixels; blocks differ by one pixel in size at most.
+/// Returns the mean of each block of pixels. Block sizes differ by at most one pixel.
 fn means(from: (u32, u32), to: (u32, u32), pixel: impl Fn(usize) -> [f64; 3]) -> Vec<[f64; 3]> {
     let bound = |place: u32, small: u32, large: u32| (u64::from(place) * u64::from(large) / u64::from(small)) as u32;
     let mut out = Vec::with_capacity(to.0 as usize * to.1 as usize);
@@ -62,7 +62,7 @@ mod tests {
         let png = Picture { width: 6, height: 4, pixels }.to_png().unwrap();
         let small = Picture::from_png(&of_picture(&png, 2).unwrap()).unwrap();
         assert_eq!((small.width, small.height), (3, 2));
-        // The first block has 0, 1, 6, 7.
+        // The first block has the values 0, 1, 6 and 7.
         assert_eq!(small.pixels[0], [4; 3]);
         assert!(of_picture(b"no PNG", 2).is_err());
         let black = Image::filled(5, 5, [f32::NAN, f32::INFINITY, 0.0]);

@@ -1,8 +1,8 @@
-//! Telling others that a job has ended: a message to the URL that the job names, and a command of this machine.
+//! Notifications that a job has ended: a message to the URL in the job, and a command on this machine.
 //!
-//! Both happen at least once for each end, also where the coordinator dies in between: the log says which ends are announced. A
-//! message is JSON, signed as [Standard Webhooks](https://www.standardwebhooks.com) has it, and sent again until it is taken. A
-//! command is not repeated when it fails.
+//! Both are delivered at least once for each end, even if the coordinator dies in between: the log records which ends are
+//! announced. A message is JSON, signed as specified by [Standard Webhooks](https://www.standardwebhooks.com), and is resent until
+//! the receiver accepts it. A failed command is not repeated.
 
 mod post;
 mod run;
@@ -26,19 +26,19 @@ use post::Poster;
 pub use signature::{KeyError, NotifyKey};
 pub use target::{PrefixError, UrlPrefix};
 
-/// Listeners to the ends of jobs: URLs that jobs may name, and a command.
+/// Configuration of notifications: URLs that jobs may name, and a command.
 #[derive(Debug, Clone, Default)]
 pub struct Announce {
-    /// URLs that jobs may name begin with one of these; none: jobs may name no URL.
+    /// Permitted prefixes of the URLs that jobs may name. Empty: jobs may name no URL.
     pub allowed: Vec<UrlPrefix>,
-    /// Key of the signatures; `None`: messages are not signed.
+    /// Key that signs the messages; `None`: messages are not signed.
     pub key: Option<NotifyKey>,
-    /// Command for the shell, run at each end of a job.
+    /// Shell command that runs at each end of a job.
     pub on_end: Option<String>,
 }
 
 impl Announce {
-    /// Refuses notes whose URL no prefix allows.
+    /// Refuses notes with a URL that no prefix permits.
     pub(crate) fn check(&self, notes: &JobNotes) -> Result<(), Refusal> {
         let Some(url) = &notes.notify else { return Ok(()) };
         let allowed = target::allowed(&self.allowed, url).map(drop);
@@ -46,43 +46,43 @@ impl Announce {
     }
 }
 
-/// The message that a job has ended.
+/// Message that a job has ended.
 #[derive(Serialize)]
 struct Message {
     /// `job.done`, `job.failed` or `job.cancelled`.
     r#type: &'static str,
-    /// Date of the end, RFC 3339.
+    /// Time at which the message was made, RFC 3339.
     timestamp: String,
-    /// The job, as `femc status --json` has it.
+    /// The job, in the form of `femc status --json`.
     data: JobJson,
 }
 
-/// An end to be told.
+/// End of a job that must be announced.
 #[derive(Debug, Clone)]
 struct End {
     job: JobId,
     ended: Tick,
-    /// Name of the message: the same for each repetition.
+    /// Id of the message, equal for all its repetitions.
     id: String,
     status: JobStatus,
     body: Arc<str>,
 }
 
-/// The coordinator's announcements under way.
+/// Announcements in progress.
 #[derive(Debug)]
 pub(crate) struct Announcer {
     config: Arc<Announce>,
     poster: Arc<Poster>,
-    /// Places for commands.
+    /// Slots for commands.
     commands: Arc<Semaphore>,
     under_way: BTreeSet<(JobId, Tick)>,
     tell: mpsc::Sender<(JobId, Tick)>,
-    /// Ends that are announced: their message was taken or given up, and their command has run.
+    /// Announced ends: the message was accepted or given up, and the command has run.
     pub(crate) told: mpsc::Receiver<(JobId, Tick)>,
 }
 
 impl Announcer {
-    /// Most commands that run at a time.
+    /// Maximum number of commands that run at the same time.
     const COMMANDS: usize = 4;
 
     pub(crate) fn new(config: Announce) -> Self {
@@ -96,12 +96,12 @@ impl Announcer {
         &self.config
     }
 
-    /// Whether somebody is to be told of the end of a job with these notes.
+    /// Returns whether the end of a job with these notes must be announced to anyone.
     fn has_listeners(&self, notes: &JobNotes) -> bool {
         notes.notify.is_some() || self.config.on_end.is_some()
     }
 
-    /// Begins to tell of an end.
+    /// Starts the announcement of an end.
     fn begin(&self, end: End) {
         let (config, poster, commands) = (self.config.clone(), self.poster.clone(), self.commands.clone());
         let tell = self.tell.clone();
@@ -110,7 +110,7 @@ impl Announcer {
                 let Some(url) = &end.status.notes.notify else { return };
                 match target::allowed(&config.allowed, url) {
                     Ok(url) => poster.post(&url, &end.id, &end.body).await,
-                    // Allowed when the job was submitted.
+                    // The URL was permitted when the job was submitted.
                     Err(message) => {
                         tracing::warn!(job = end.job.0, "the message about the job's end is not sent: {message}");
                     }
@@ -123,14 +123,14 @@ impl Announcer {
                 }
             };
             tokio::join!(posted, ran);
-            // The coordinator is gone: the next one tells it again.
+            // The send fails if the coordinator has stopped. Then the next coordinator announces the end again.
             let _ = tell.send((end.job, end.ended)).await;
         });
     }
 }
 
 impl<Q: Queue> Actor<Q> {
-    /// Tells of a job's end, if it has one that is to be told and is not being told.
+    /// Announces the end of a job, unless it is announced already or in progress.
     pub(crate) fn announce(&mut self, job: JobId) {
         let Some(ended) = self.scheduler.end_to_announce(job) else { return };
         let scheduler = &self.scheduler;
@@ -152,7 +152,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    /// Tells of the ends that the coordinator before has not told of.
+    /// Announces the ends that the previous coordinator has not announced.
     pub(crate) fn announce_all(&mut self) {
         for (job, _) in self.scheduler.ends_to_announce() {
             self.announce(job);
@@ -174,7 +174,7 @@ fn end(job: JobId, ended: Tick, status: JobStatus) -> Result<End, serde_json::Er
     Ok(End { job, ended, id: format!("femc-{job}-{}", ended.0), status, body })
 }
 
-/// Seconds since 1970, as the header of a message has it.
+/// Returns the Unix time in seconds, for the header of a message.
 fn unix_seconds() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).as_ref().map_or(0, Duration::as_secs)
 }

@@ -1,4 +1,4 @@
-//! Messages over HTTP.
+//! Delivery of messages over HTTP.
 
 use std::error::Error;
 use std::time::Duration;
@@ -20,11 +20,11 @@ use super::unix_seconds;
 
 type Https = Client<HttpsConnector<connect::HttpConnector>, Full<Bytes>>;
 
-/// Posts messages, and again until they are taken. Redirects are not followed: they could lead to what no prefix allows.
+/// Posts messages, with retries. Redirects are not followed, because they could lead to URLs that no prefix permits.
 #[derive(Debug)]
 pub(super) struct Poster {
     key: Option<NotifyKey>,
-    /// Made for the first message: it reads the machine's root certificates.
+    /// HTTP client. It is made for the first message, because that reads the machine's root certificates.
     client: OnceCell<Https>,
     places: Semaphore,
 }
@@ -32,27 +32,27 @@ pub(super) struct Poster {
 /// Outcome of one attempt to send a message.
 enum Sent {
     Taken,
-    /// The receiver wants no more of it.
+    /// The receiver wants no more messages.
     Gone,
     NotYet(String),
 }
 
 impl Poster {
-    /// Most messages that are sent at a time.
+    /// Maximum number of messages that are sent at the same time.
     const PLACES: usize = 16;
-    /// Until an answer has come.
+    /// Time limit for a response.
     const ANSWER: Duration = Duration::from_secs(15);
-    /// Before the second attempt; it doubles.
+    /// Pause before the second attempt. Later pauses double.
     const FIRST_PAUSE: Duration = Duration::from_secs(1);
     const LONGEST_PAUSE: Duration = Duration::from_secs(300);
-    /// Time after which a message that was never taken is given up.
+    /// Time after which a message that was never accepted is given up.
     const GIVE_UP: Duration = Duration::from_secs(24 * 3600);
 
     pub(super) fn new(key: Option<NotifyKey>) -> Self {
         Self { key, client: OnceCell::new(), places: Semaphore::new(Self::PLACES) }
     }
 
-    /// Posts a message until it is taken, or given up.
+    /// Posts a message until it is accepted or given up.
     pub(super) async fn post(&self, url: &Url, id: &str, body: &str) {
         let (begun, mut pause) = (Instant::now(), Self::FIRST_PAUSE);
         let server = url.origin().ascii_serialization();
@@ -106,7 +106,7 @@ fn client() -> Result<Https, String> {
     Ok(Client::builder(TokioExecutor::new()).pool_timer(TokioTimer::new()).build(connector))
 }
 
-/// An error and its causes.
+/// Formats an error with its causes.
 fn chain(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();

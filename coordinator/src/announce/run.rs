@@ -1,4 +1,4 @@
-//! A command of this machine at the end of a job.
+//! Command that runs on this machine at the end of a job.
 
 use std::process::Stdio;
 use std::time::Duration;
@@ -7,12 +7,12 @@ use femc_model::JobStatus;
 use tokio::io::AsyncWriteExt as _;
 use tokio::process::Command;
 
-/// A command that runs for longer is killed.
+/// Time limit of a command. After it, the command is killed.
 const LONGEST: Duration = Duration::from_secs(600);
-/// Bytes at the end of its errors that are told.
+/// Number of bytes from the end of its standard error that are logged.
 const TOLD: usize = 500;
 
-/// Runs a command in the shell: the job is in its environment, and the message at its standard input. How it ends is told in the log.
+/// Runs a command in the shell. The job is in its environment, and the message on its standard input. The outcome is logged.
 pub(super) async fn run(command: &str, job: &JobStatus, message: &str) {
     let number = job.job.0;
     match outcome(command, job, message).await {
@@ -22,7 +22,7 @@ pub(super) async fn run(command: &str, job: &JobStatus, message: &str) {
     }
 }
 
-/// Its fault, if it has one.
+/// Returns the fault of the command, if it failed.
 async fn outcome(command: &str, job: &JobStatus, message: &str) -> std::io::Result<Option<String>> {
     let mut child = Command::new("sh")
         .args(["-c", command])
@@ -40,7 +40,7 @@ async fn outcome(command: &str, job: &JobStatus, message: &str) -> std::io::Resu
     let stdin = child.stdin.take();
     let write = async move {
         if let Some(mut stdin) = stdin {
-            // A command need not read it.
+            // The command need not read its input.
             let _ = stdin.write_all(message.as_bytes()).await;
         }
     };

@@ -1,4 +1,4 @@
-//! Signatures of messages, as Standard Webhooks has them.
+//! Signatures of messages, as specified by Standard Webhooks.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -8,37 +8,37 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ring::hmac;
 
-/// Key of signatures; not shown.
+/// Signing key. Its `Debug` output does not show it.
 #[derive(Clone)]
 pub struct NotifyKey(Arc<hmac::Key>);
 
-/// A file without a key.
+/// Error of a key file.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{path}: {error}")]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Error of the operating system.
         error: std::io::Error,
     },
-    /// It is short, or no base64 after `whsec_`.
+    /// The key is too short, or the text after `whsec_` is not base64.
     #[error(
         "{path}: a key has {} bytes or more, or is whsec_ and their base64; `openssl rand -base64 32` makes one",
         NotifyKey::LEAST
     )]
     Form {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
 }
 
 impl NotifyKey {
-    /// Fewest bytes of a key.
+    /// Minimum length of a key in bytes.
     const LEAST: usize = 16;
 
-    /// The key in a file: `whsec_` and base64, or the bytes themselves without white space at their ends.
+    /// Reads the key from a file: `whsec_` and base64, or raw bytes. White space at both ends is ignored.
     ///
     /// # Errors
     /// The file cannot be read, or has no key.
@@ -56,7 +56,7 @@ impl NotifyKey {
         (key.len() >= Self::LEAST).then(|| Self(Arc::new(hmac::Key::new(hmac::HMAC_SHA256, &key))))
     }
 
-    /// Signature of a message: `v1,` and the base64 of HMAC-SHA256 over its name, its time and its body.
+    /// Returns the signature of a message: `v1,` and the base64 of HMAC-SHA256 over its id, its time and its body.
     pub(super) fn sign(&self, id: &str, unix_seconds: u64, body: &str) -> String {
         let tag = hmac::sign(&self.0, format!("{id}.{unix_seconds}.{body}").as_bytes());
         format!("v1,{}", STANDARD.encode(tag))
@@ -75,7 +75,7 @@ mod tests {
 
     #[test]
     fn a_signature_is_that_of_the_standards_example() {
-        // From the specification of Standard Webhooks, and by Python's `hmac`.
+        // The values come from the specification of Standard Webhooks, and from Python's `hmac`.
         let key = NotifyKey::of(b"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\n").expect("a key");
         let signature = key.sign("msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
         assert_eq!(signature, "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");

@@ -1,15 +1,15 @@
-//! URLs that jobs may name. Who may submit must not reach the coordinator's network by it.
+//! Check of the URLs that jobs may name. Without it, submitters could make the coordinator send requests into its own network.
 
 use std::fmt;
 use std::str::FromStr;
 
 use url::Url;
 
-/// A beginning of URLs: scheme, host, port, and whole segments of a path.
+/// Prefix of URLs: scheme, host, port, and whole segments of a path.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UrlPrefix(Url);
 
-/// A text that is no [`UrlPrefix`].
+/// Error for a text that is not a [`UrlPrefix`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{text}` is no beginning of URLs: {message}; write it like https://hooks.example.com/femc/")]
 pub struct PrefixError {
@@ -37,7 +37,7 @@ impl fmt::Display for UrlPrefix {
 }
 
 impl UrlPrefix {
-    /// Whether a URL begins so.
+    /// Returns whether a URL begins with this prefix.
     fn allows(&self, url: &Url) -> bool {
         let is_there = url.scheme() == self.0.scheme()
             && url.host() == self.0.host()
@@ -46,13 +46,13 @@ impl UrlPrefix {
         is_there && rest.is_some_and(|rest| self.0.path().ends_with('/') || rest.is_empty() || rest.starts_with('/'))
     }
 
-    /// The server, without the path, which may be a secret.
+    /// Returns the server without the path, which may be a secret.
     fn server(&self) -> String {
         self.0.origin().ascii_serialization()
     }
 }
 
-/// A URL of HTTP with a host and without a user.
+/// Parses an HTTP URL that has a host and no user name.
 fn parsed(text: &str) -> Result<Url, String> {
     let url = Url::parse(text).map_err(|error| error.to_string())?;
     if !matches!(url.scheme(), "http" | "https") {
@@ -67,7 +67,7 @@ fn parsed(text: &str) -> Result<Url, String> {
     Ok(url)
 }
 
-/// The URL of this text, if one of these prefixes allows it; otherwise the reason for which it is refused.
+/// Parses a URL and checks that one of the prefixes permits it. Otherwise returns the reason for the refusal.
 pub(super) fn allowed(prefixes: &[UrlPrefix], text: &str) -> Result<Url, String> {
     let url = parsed(text).map_err(|message| format!("`{text}` is no URL to notify: {message}"))?;
     if prefixes.iter().any(|prefix| prefix.allows(&url)) {

@@ -1,4 +1,4 @@
-//! What the store damages, and what several send at once.
+//! Tests of damaged artifacts in the store, and of concurrent uploads.
 
 use std::collections::VecDeque;
 use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
@@ -23,7 +23,7 @@ async fn farm() -> (tempfile::TempDir, Handle, Client) {
     (folder, farm, client)
 }
 
-/// Bytes in which no piece is like another.
+/// Makes bytes without repetitions.
 fn noise(size: u64) -> Bytes {
     let mut state = size;
     let word = |_| {
@@ -33,13 +33,13 @@ fn noise(size: u64) -> Bytes {
     (0..size / 8).flat_map(word).collect()
 }
 
-/// Where an artifact lies.
+/// Returns the path of an artifact's file.
 fn file(folder: &Path, digest: &Digest) -> PathBuf {
     let name = digest.to_string();
     folder.join("artifacts").join(&name[..2]).join(&name[2..])
 }
 
-/// What a disk makes of a file: less, nothing, other bytes, more.
+/// Returns damaged versions of a file: truncated, empty, with a flipped bit, with bytes appended.
 fn harms(whole: &[u8]) -> Vec<Vec<u8>> {
     let mut flipped = whole.to_vec();
     flipped[whole.len() / 2] ^= 1;
@@ -63,14 +63,14 @@ fn spec(bundle: Digest) -> JobSpec {
     }
 }
 
-/// A worker that does what the test says.
+/// A worker that the test controls.
 struct Hand {
     client: Client,
     out: Outgoing,
     incoming: Incoming,
-    /// What it says the image of every frame is, if not what it makes.
+    /// Artifact reported as the image of every frame; `None`: the one that the worker makes.
     image: Option<Artifact>,
-    /// Assigned while it listened for something else.
+    /// Assignments received while the worker waited for another message.
     waiting: VecDeque<Assignment>,
 }
 
@@ -102,13 +102,13 @@ impl Hand {
         }
     }
 
-    /// Whether the report counts.
+    /// Reports a result. Returns whether it was accepted.
     async fn report(&mut self, held: &Assignment, result: TaskResult) -> bool {
         let (task, epoch) = (held.task, held.epoch);
         self.says(epoch, FromWorker::Completed { task, epoch, result, log: None, usage: None }).await
     }
 
-    /// Whether what it says of a lease is accepted.
+    /// Sends a message about a lease. Returns whether it was accepted.
     async fn says(&mut self, epoch: Epoch, message: FromWorker) -> bool {
         self.out.send(message).await;
         loop {
@@ -124,7 +124,7 @@ impl Hand {
         }
     }
 
-    /// Does tasks until the job has no more; the images are `image 1`, `image 2`.
+    /// Runs tasks until the job is done. The images are the bytes `Image 1` and `Image 2`, unless `image` is set.
     async fn work(&mut self, id: JobId) {
         while self.client.status(id).await.unwrap().state != JobState::Done {
             let held = self.assigned().await;
@@ -140,7 +140,7 @@ impl Hand {
     }
 }
 
-/// The report of a worker that has made this of a task.
+/// Makes the result of a worker that has made this artifact for a task.
 fn made(held: &Assignment, artifact: Artifact) -> TaskResult {
     let of = |role| TaskResult { outputs: vec![Output { role, artifact }], seconds: 0.1, ..TaskResult::default() };
     match held.task.stage.kind {
@@ -149,19 +149,19 @@ fn made(held: &Assignment, artifact: Artifact) -> TaskResult {
     }
 }
 
-/// How an artifact comes to be in the store.
+/// Way in which an artifact gets into the store.
 #[derive(Debug, Clone, Copy)]
 enum Known {
-    /// The coordinator has taken it in.
+    /// Uploaded through the coordinator.
     Before,
-    /// It lies there from an earlier life of the coordinator, which has not looked at it yet.
+    /// Left by an earlier run of the coordinator. The present one has not checked it yet.
     NotYet,
 }
 
 impl Known {
     const BOTH: [Self; 2] = [Self::Before, Self::NotYet];
 
-    /// Another one each time.
+    /// Puts a new artifact into the store, a different one on each call.
     async fn plant(self, folder: &Path, client: &Client, number: &mut u64) -> (Bytes, Artifact) {
         *number += 1;
         let bytes = Bytes::from(format!("artifact {number}"));
@@ -178,7 +178,7 @@ impl Known {
     }
 }
 
-/// Sizes that an artifact of this size has not.
+/// Returns sizes that differ from the size of the artifact.
 fn other_sizes(bytes: u64) -> [u64; 5] {
     [0, 1, bytes - 1, bytes + 1, bytes + (1 << 40)]
 }
@@ -194,7 +194,7 @@ async fn a_result_whose_artifact_has_another_size_than_it_says_does_not_count() 
             for case in [0, 2, 3] {
                 let (bytes, artifact) = known.plant(folder.path(), &client, &mut number).await;
                 let other = Artifact { bytes: other_sizes(artifact.bytes)[case], ..artifact };
-                // A worker whose report was refused rests: each is another one.
+                // A worker gets no tasks for a while after a refused report, so each report comes from another worker.
                 let mut hand = Hand::join(&farm.url()).await;
                 let held = hand.assigned().await;
                 assert!(!hand.report(&held, made(&held, other)).await, "{known:?}: {} of {other:?}", held.task);
@@ -205,7 +205,7 @@ async fn a_result_whose_artifact_has_another_size_than_it_says_does_not_count() 
             let mut hand = Hand::join(&farm.url()).await;
             let mut held = hand.assigned().await;
             if held.task.stage.kind == StageKind::Image {
-                // Neither by another output that is right.
+                // A second output with a wrong size makes the report invalid, although the first one is right.
                 let (_, preview) = known.plant(folder.path(), &client, &mut number).await;
                 let mut both = made(&held, artifact);
                 both.outputs.push(Output { role: Role::Preview, artifact: Artifact { bytes: 1, ..preview } });
@@ -297,7 +297,7 @@ async fn who_takes_an_artifact_for_one_of_another_size_is_refused_before_any_byt
     farm.stop().await.unwrap();
 }
 
-/// A connection to `server` that changes the bytes of [`marked`] on their way, in both directions.
+/// Starts a proxy to `server` that alters the bytes of [`marked`] in both directions.
 async fn lying(server: SocketAddr) -> String {
     async fn pass(mut from: impl tokio::io::AsyncRead + Unpin, mut to: impl tokio::io::AsyncWrite + Unpin) {
         let mut buffer = vec![0; 1 << 16];
@@ -325,7 +325,7 @@ async fn lying(server: SocketAddr) -> String {
     url
 }
 
-/// A byte that no message repeats as often as an artifact of [`marked`] does: the link knows artifacts by it.
+/// Byte that is repeated more often in artifacts of [`marked`] than in any message. The proxy recognizes artifacts by it.
 const MARK: u8 = 0xa5;
 
 fn marked(size: usize) -> Bytes {
@@ -361,7 +361,7 @@ async fn every_report_is_answered_and_its_log_is_kept() {
     let stored = client.put(Bytes::from_static(b"a long log")).await.unwrap();
     let mut reported = Vec::new();
     for case in 0..3 {
-        // A worker whose surroundings have failed rests: each is another one.
+        // A worker gets no tasks for a while after a failure of its surroundings, so each report comes from another worker.
         let mut hand = Hand::join(&farm.url()).await;
         let held = hand.assigned().await;
         let (task, epoch) = (held.task, held.epoch);
@@ -421,7 +421,7 @@ async fn a_truncated_result_does_not_block_its_job() {
     let (folder, farm, client) = farm().await;
     let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
     let id = client.submit(None, spec(bundle.digest)).await.unwrap();
-    // Before any coordinator has seen it: as one that was put in an earlier life, and cut since.
+    // Placed before any coordinator has seen it, like an artifact that was uploaded in an earlier run and truncated since.
     let tile = Digest::of(b"Render 1");
     std::fs::create_dir_all(file(folder.path(), &tile).parent().unwrap()).unwrap();
     std::fs::write(file(folder.path(), &tile), b"Ren").unwrap();
@@ -477,7 +477,8 @@ async fn a_damaged_image_is_found_by_who_fetches_it_and_its_frame_is_rendered_ag
     farm.stop().await.unwrap();
 }
 
-/// A connection to `server` that holds back what comes from it after so many bytes, says so, and goes on when it is told.
+/// Starts a proxy to `server` that holds back the data from the server after this many bytes, signals that, and continues on
+/// request.
 async fn held_at(
     bytes: usize,
     server: SocketAddr,
@@ -497,7 +498,7 @@ async fn held_at(
     (url, said, go_on)
 }
 
-/// Changes a byte of a file, or changes it back.
+/// Flips a byte of a file. A second call restores it.
 fn flip(file: &Path) {
     let mut file = std::fs::OpenOptions::new().read(true).write(true).open(file).unwrap();
     let mut byte = [0];
@@ -518,7 +519,7 @@ async fn an_image_that_was_read_wrongly_and_is_sound_does_not_begin_its_frame_an
     hand.work(id).await;
     let file = file(folder.path(), &image.digest);
     flip(&file);
-    // More than fits between the two ends is still to be read when the byte is as it was.
+    // More data than fits in the buffers between both ends is still unread when the byte is restored.
     let (url, held, go_on) = held_at(1 << 20, farm.address()).await;
     let slow = Client::connect(&url).await.unwrap();
     let fetch = tokio::spawn(async move { slow.get_exactly(&image).await });
@@ -559,7 +560,7 @@ async fn all_who_send_the_same_at_once_succeed_and_some_may_die() {
     let artifact = Artifact::of(&bytes);
     let mut senders = Vec::new();
     for number in 0..6u64 {
-        // Every second one loses its connection on the way, and one is gone for good.
+        // Every second upload loses its connection on the way, and one client disconnects for good.
         let cuts = if number % 2 == 0 { vec![Cut::Up((3 + 2 * number) * MB)] } else { vec![] };
         let proxy = Proxy::start(farm.address(), &cuts).await;
         let sender = Client::connect(&proxy.url).await.unwrap();

@@ -1,4 +1,4 @@
-//! What `femc gc` removes, and what it must never.
+//! Tests of `femc gc`: artifacts that it removes, and artifacts that it must keep.
 
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -15,7 +15,7 @@ struct Farm {
     folder: tempfile::TempDir,
     farm: Handle,
     client: Client,
-    /// The farm's store, past its coordinator.
+    /// Store of the farm, accessed without the coordinator.
     store: Store,
 }
 
@@ -29,12 +29,12 @@ impl Farm {
         Self { folder, farm, client, store }
     }
 
-    /// Makes all that is in the store two hours old.
+    /// Makes all artifacts in the store two hours old.
     fn age(&self) {
         age(self.folder.path());
     }
 
-    /// Bytes that nobody has put through the coordinator.
+    /// Stores bytes without the coordinator.
     async fn stray(&self, bytes: &[u8]) -> Artifact {
         self.store.put(Bytes::copy_from_slice(bytes)).await.unwrap()
     }
@@ -51,7 +51,7 @@ fn age(folder: &Path) {
     }
 }
 
-/// Pieces, and the manifest that names them, at the end.
+/// Returns the pieces of a scene, followed by the manifest that names them.
 fn scene(name: &str) -> Vec<Bytes> {
     let mut pieces: Vec<Bytes> = (0..5).map(|i| Bytes::from(format!("{name}, piece {i}"))).collect();
     let named = pieces.iter().map(|bytes| Piece { artifact: Artifact::of(bytes), unpacked: 9 }).collect();
@@ -150,7 +150,7 @@ async fn no_job_that_was_taken_loses_a_piece_however_collections_and_submissions
         }
     });
     for scene in &scenes {
-        // Old leftovers of an earlier attempt: what a submission finds and a collection wants to remove.
+        // Old leftovers of an earlier attempt: a submission finds them, and a collection would remove them.
         for bytes in scene {
             farm.stray(bytes).await;
         }

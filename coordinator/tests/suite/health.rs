@@ -1,4 +1,4 @@
-//! What programs that know gRPC and nothing of femc ask: is it there, and what does it understand?
+//! Tests of standard gRPC services, for programs that do not know femc: health checks and reflection.
 
 use std::time::Duration;
 

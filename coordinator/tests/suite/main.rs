@@ -1,4 +1,4 @@
-//! The coordinator behind its interface, a module a topic.
+//! Tests of the coordinator through its public interface, one module per topic.
 
 mod common;
 mod damage;

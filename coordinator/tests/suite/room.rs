@@ -1,4 +1,4 @@
-//! A disk that is full ends nothing: the coordinator waits with all that it knows, tells nobody, and goes on.
+//! Tests of a full disk: the coordinator waits with its state, acknowledges nothing, and resumes.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -13,12 +13,12 @@ use femc_queue::{Batch, Contents, Memory, Page, Queue};
 use femc_schedule::{Fact, Ledger};
 use femc_store::Store;
 
-/// A log in memory on a medium that may be full.
+/// An in-memory log on a medium that may be full.
 #[derive(Debug, Clone, Default)]
 struct Narrow {
     log: Memory,
     is_full: Arc<AtomicBool>,
-    /// Whether it is too narrow for a snapshot at any time.
+    /// Whether there is never space for a snapshot.
     has_no_snapshots: bool,
     refused: Arc<AtomicUsize>,
 }
@@ -37,7 +37,7 @@ impl Narrow {
         Err(QueueError::Full { place: "the test".into(), message: "disk full".into() })
     }
 
-    /// Until so many more writes were refused.
+    /// Waits until this many more writes were refused.
     async fn refuses(&self, more: usize) {
         let from = self.refused.load(Ordering::SeqCst);
         while self.refused.load(Ordering::SeqCst) < from + more {
@@ -45,7 +45,7 @@ impl Narrow {
         }
     }
 
-    /// What a coordinator that began now would know.
+    /// Returns the ledger of a coordinator that would start now.
     async fn ledger(&self) -> Ledger {
         let Contents { snapshot, records, .. } = self.log.clone().load().await.unwrap();
         let mut ledger = snapshot.map(|state| Ledger::decode(&state).unwrap()).unwrap_or_default();
@@ -155,7 +155,7 @@ async fn a_full_log_ends_nothing_tells_nothing_and_goes_on_when_there_is_room() 
     log.fill(true);
     out.send(done(&lease)).await;
     log.refuses(1).await;
-    // What somebody wants now, and a worker that is alive.
+    // New requests while the disk is full, and the heartbeat of a worker.
     assert!(matches!(refusal(client.submit(None, spec()).await), Refusal::NoRoom { .. }));
     let Refusal::Unavailable { message } = refusal(client.listing().await) else { panic!("another refusal") };
     assert!(message.contains("no room for the log in the test"), "{message}");
@@ -191,7 +191,7 @@ async fn a_command_that_meets_the_full_log_hears_why_at_once_and_is_done_when_th
     let (farm, client) = farm(&log, Config::default()).await;
     let job = client.submit(None, spec()).await.unwrap();
     log.fill(true);
-    // The first that is to be written: those that come after it are turned away.
+    // The first request that must be written. Later requests are refused.
     let Refusal::Unavailable { message } = refusal(client.control(job, Control::Pause).await) else {
         panic!("another refusal")
     };

@@ -1,4 +1,4 @@
-//! Coordinators that lose their database, or each other.
+//! Tests of coordinators that lose their database, or each other.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,20 +12,20 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 
 const SILENCE: Duration = Duration::from_millis(1200);
-/// Longer than anything here takes on a loaded machine.
+/// Time limit, longer than anything here takes on a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How the way to the database is.
+/// State of the connection to the database.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Way {
     Open,
-    /// Connections stay and nothing arrives.
+    /// Connections stay open, but nothing arrives.
     Silent,
     /// Connections break, and new ones are refused.
     Broken,
 }
 
-/// A way to the database at `url` that can be closed, and the address at its beginning.
+/// Starts a proxy to the database at `url`. Returns its switch and its URL.
 async fn way(url: &str) -> (watch::Sender<Way>, String) {
     let (head, tail) = url.split_once('@').unwrap();
     let (place, path) = tail.split_once('/').unwrap();
@@ -49,7 +49,7 @@ async fn pass(mut near: TcpStream, place: Arc<str>, mut way: watch::Receiver<Way
         _ = tokio::io::copy_bidirectional(&mut near, &mut far) => return,
         _ = way.wait_for(|way| *way != Way::Open) => {}
     }
-    // Both ends stay open, and nothing arrives, until it breaks.
+    // Both ends stay open and nothing arrives, until the proxy is set to broken.
     if *way.borrow() == Way::Silent {
         let _ = way.wait_for(|way| *way == Way::Broken).await;
     }
@@ -129,13 +129,13 @@ async fn a_leader_cut_off_from_its_database_says_nothing_any_more_and_another_le
     assert_eq!(heard, Standing::StandsBy { leader: Some(one.url()) });
     let watch = client.watch(first).await.unwrap();
     set.send(Way::Silent).unwrap();
-    // Not told before it is durable, and so never.
+    // This request cannot become durable, so it is never acknowledged.
     let lost = tokio::spawn({
         let client = client.clone();
         async move { client.control(first, femc_model::Control::Pause).await }
     });
     let taken = leads(&two).await;
-    // The old leader has counted itself out before the new one could lead; its end reaches its clients soon.
+    // The old leader has given up its role before the new one could lead. Its clients will soon see its end.
     assert!(*one.standing().borrow() != Standing::Leads || client.list().await.is_err(), "two answer");
     assert!(lost.await.unwrap().is_err());
     let mut watch = watch;
@@ -162,7 +162,7 @@ async fn an_idle_leader_that_is_deposed_stops_answering_by_itself() {
     let job = submit(&client).await;
     scratch.tamper("UPDATE femc.leader SET epoch = epoch + 1").await;
     until(&farm, |standing| *standing != Standing::Leads).await;
-    // Nobody else is there: it leads again, in a term of its own.
+    // There is no other coordinator, so it leads again, in a new term.
     assert_eq!(jobs(&leads(&farm).await).await, [job]);
     assert_eq!(scratch.number("SELECT epoch FROM femc.leader").await, 3);
     farm.stop().await.unwrap();

@@ -1,4 +1,4 @@
-//! A snapshot takes the place of the one before it and of the records since: it says just what they say.
+//! Tests of snapshots: a snapshot must equal the previous snapshot plus the records since.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -12,11 +12,11 @@ use femc_queue::{Batch, Contents, Memory, Page, Queue};
 use femc_schedule::{Fact, Ledger};
 use femc_store::Store;
 
-/// A log in memory that holds each snapshot against what that replaces.
+/// An in-memory log that compares each snapshot with the content that it replaces.
 #[derive(Debug, Clone, Default)]
 struct Compared {
     log: Memory,
-    /// Of each snapshot the records that it replaces, and whether it says the same.
+    /// For each snapshot: the number of records that it replaces, and whether it is equal to them.
     snapshots: Arc<Mutex<Vec<(usize, Says)>>>,
 }
 
@@ -31,7 +31,7 @@ impl Compared {
         self.snapshots.lock().unwrap().clone()
     }
 
-    /// Until all that has come in by now is in a snapshot.
+    /// Waits until everything received so far is in a snapshot.
     async fn settles(&self) {
         let before = self.snapshots().len();
         while self.snapshots().len() < before + 2 {
@@ -121,7 +121,7 @@ fn panicked(lease: &Assignment) -> FromWorker {
 
 #[tokio::test]
 async fn a_snapshot_says_what_the_one_before_it_and_the_records_since_say() {
-    // Each tick makes one, also the tick that has something to say itself.
+    // Each tick makes a snapshot, also a tick that produces facts itself.
     let (log, clock) = (Compared::default(), Arc::new(AtomicU64::new(0)));
     let shown = clock.clone();
     let config = Config {
@@ -149,7 +149,7 @@ async fn a_snapshot_says_what_the_one_before_it_and_the_records_since_say() {
     client.control(first, Control::Pause).await.unwrap();
     client.drain(WorkerName::Name("worker 1".into()), Drain::Begin).await.unwrap();
     log.settles().await;
-    // What workers held is charged, and ends.
+    // The lease time that workers used is charged to the owner. Their leases end.
     let (_another, mut incoming) = worker(&client, 2).await;
     lease(&mut incoming).await;
     passes(6_000);
@@ -157,7 +157,7 @@ async fn a_snapshot_says_what_the_one_before_it_and_the_records_since_say() {
     client.control(first, Control::Resume).await.unwrap();
     client.control(first, Control::Cancel).await.unwrap();
     log.settles().await;
-    // The tick that makes a snapshot forgets a job.
+    // The job expires in the tick that makes a snapshot.
     passes(2_000);
     log.settles().await;
     let left: Vec<JobId> = client.listing().await.unwrap().jobs.iter().map(|status| status.job).collect();

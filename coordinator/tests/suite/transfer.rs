@@ -1,4 +1,4 @@
-//! Large artifacts over connections that break.
+//! Tests of large artifacts over connections that break.
 
 use crate::common::{Cut, Proxy};
 use bytes::Bytes;
@@ -7,12 +7,12 @@ use femc_model::*;
 use femc_proto::{CallError, Client};
 
 const MB: u64 = 1_000_000;
-/// Of the artifact in these tests.
+/// Size in bytes of the artifact in these tests.
 const SIZE: u64 = 48 * MB;
-/// Most bytes that a cut may cost: what was on its way (4 MiB of window) and a part's framing.
+/// Maximum number of bytes that a cut may cost: the data in flight (4 MiB of window) and a part's framing.
 const COST: u64 = 6 * MB;
 
-/// Bytes in which no piece is like another.
+/// Makes bytes without repetitions.
 fn bytes() -> Bytes {
     let mut state = 1u64;
     let word = |_| {
@@ -66,7 +66,7 @@ async fn another_sender_of_the_same_bytes_goes_on_with_what_is_there() {
     let bytes = bytes();
     let proxy = Proxy::start(farm.address(), &[Cut::Up(40 * MB)]).await;
     let first = Client::connect(&proxy.url).await.unwrap();
-    // It sends until the cut, and is gone then.
+    // The client sends until the cut and then disconnects.
     let sending = tokio::spawn({
         let bytes = bytes.clone();
         async move { first.put(bytes).await }

@@ -1,4 +1,4 @@
-//! What a client hears from a real coordinator without workers.
+//! Tests of a client with a real coordinator, without workers.
 
 use bytes::Bytes;
 use femc_coordinator::{Artifacts, Config, Coordinator, CoordinatorError, Handle, Log};
@@ -23,7 +23,7 @@ fn spec() -> JobSpec {
     }
 }
 
-/// A client of the farm, whose store has the scene of [`spec`].
+/// Connects a client of the farm and uploads the scene of [`spec`].
 async fn client(farm: &Handle) -> Client {
     let client = Client::connect(&farm.url()).await.unwrap();
     client.put(Bytes::from_static(b"bundle")).await.unwrap();

@@ -1,26 +1,26 @@
-//! Content addresses: BLAKE3 over the bytes, written in hexadecimal.
+//! Content addresses: the BLAKE3 hash of the bytes, written in hexadecimal.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// BLAKE3 digest of an artifact's bytes; two artifacts with one digest are one artifact.
+/// BLAKE3 digest of an artifact's bytes. Artifacts with equal digests are the same artifact.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Digest([u8; 32]);
 
 impl Digest {
-    /// Digest of `bytes`.
+    /// Returns the digest of `bytes`.
     pub fn of(bytes: &[u8]) -> Self {
         Self(*blake3::hash(bytes).as_bytes())
     }
 
-    /// From the 32 raw bytes.
+    /// Makes a digest from its 32 raw bytes.
     pub const fn from_bytes(bytes: [u8; 32]) -> Self {
         Self(bytes)
     }
 
-    /// The 32 raw bytes.
+    /// Returns the 32 raw bytes.
     pub const fn as_bytes(&self) -> &[u8; 32] {
         &self.0
     }
@@ -61,7 +61,7 @@ impl FromStr for Digest {
     }
 }
 
-/// Not 32 bytes, or not 64 hexadecimal digits.
+/// Error for input that is not 32 bytes or not 64 hexadecimal digits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("a digest is 32 bytes, 64 hexadecimal digits")]
 pub struct ParseDigestError;

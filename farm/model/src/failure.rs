@@ -1,19 +1,19 @@
-//! Why a task was not done, and what follows from it: decided by variant, never by text.
+//! Causes of task failures, and their consequences. The variant decides the consequence, never the text.
 
 use serde::{Deserialize, Serialize};
 
 use crate::Digest;
 
-/// Root cause of a task that was not done, as its worker saw it.
+/// Root cause of a failed task, as its worker reports it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum Failure {
-    /// The scene cannot be read or prepared: it would fail everywhere.
+    /// The scene cannot be read or prepared. It would fail on every worker.
     #[error("scene: {message}")]
     Scene {
-        /// What the importer or the preparation said.
+        /// Error of the importer or of the preparation.
         message: String,
     },
-    /// The settings cannot be understood.
+    /// The settings cannot be parsed.
     #[error("settings: {message}")]
     Settings {
         /// Error of the settings' parser.
@@ -25,21 +25,21 @@ pub enum Failure {
         /// The panic's message.
         message: String,
     },
-    /// The worker was there, and the task made no progress for too long.
+    /// The worker was alive, but the task made no progress for too long.
     #[error("no progress for {seconds} s")]
     Stalled {
         /// Seconds without progress.
         seconds: u64,
     },
-    /// Artifacts that the task needs are not in the store, or do not decode, or do not fit the task.
+    /// Artifacts that the task needs are not in the store, cannot be decoded, or do not fit the task.
     #[error("{} artifacts are lost: {message}", digests.len())]
     LostInputs {
         /// Digests of all lost artifacts.
         digests: Vec<Digest>,
-        /// What is wrong with one of them.
+        /// Fault of one of the artifacts.
         message: String,
     },
-    /// The artifact store refused or was away.
+    /// The artifact store refused a request or did not respond.
     #[error("store: {message}")]
     Store {
         /// Error of the store.
@@ -51,42 +51,42 @@ pub enum Failure {
         /// Resource that is used up, and the error of the system.
         message: String,
     },
-    /// The worker gave the task back: it was told to, or is leaving.
+    /// The worker gave the task back, either on request or because it is shutting down.
     #[error("cancelled")]
     Cancelled,
-    /// Workers died while they computed it.
+    /// Workers died while they computed the task.
     #[error("workers died {deaths} times while they computed it; the last was {worker}")]
     Killed {
-        /// Workers that died over the task.
+        /// Number of workers that died while they computed the task.
         deaths: u32,
-        /// Name of the last one.
+        /// Name of the last worker that died.
         worker: String,
     },
-    /// The result, or an input, is larger than the artifact store takes: it would be so everywhere.
+    /// The result, or an input, exceeds the size limit of the artifact store. It would do so on every worker.
     #[error("an artifact of more than {limit} bytes, which is the most that the farm's store takes")]
     TooLarge {
-        /// Bytes.
+        /// Limit in bytes.
         limit: u64,
     },
 }
 
-/// What a failure means for the task.
+/// Consequence of a failure for the task.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Verdict {
-    /// The task's own failure: counts as an attempt; try again elsewhere.
+    /// The task itself failed. This counts as an attempt. Retry it on another worker.
     Retry,
-    /// Make these artifacts again first.
+    /// Recreate these artifacts first.
     Rebuild(Vec<Digest>),
-    /// Every attempt would end the same: the job has failed.
+    /// Every attempt would fail in the same way. The job has failed.
     Fatal,
-    /// Not the task's fault: try again, the worker rests a while.
+    /// The task is not at fault. Retry it; the worker gets no tasks for a while.
     Infrastructure,
-    /// Nobody's fault: try again.
+    /// Nothing is at fault. Retry.
     Cancelled,
 }
 
 impl Failure {
-    /// All that [`Failure::cause`] says.
+    /// All names that [`Failure::cause`] returns.
     pub const CAUSES: [&str; 10] = [
         "scene",
         "settings",
@@ -100,7 +100,7 @@ impl Failure {
         "too_large",
     ];
 
-    /// In one word, for those who count.
+    /// Returns the cause in one word, for counters.
     pub const fn cause(&self) -> &'static str {
         match self {
             Self::Scene { .. } => "scene",
@@ -116,7 +116,7 @@ impl Failure {
         }
     }
 
-    /// What follows; exhaustive, so that a new failure must choose.
+    /// Returns the consequence. The match is exhaustive, so every new failure must choose one.
     pub fn verdict(&self) -> Verdict {
         match self {
             Self::Scene { .. } | Self::Settings { .. } | Self::TooLarge { .. } => Verdict::Fatal,

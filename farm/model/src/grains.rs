@@ -1,5 +1,5 @@
-//! How the tasks of a stage are numbered: the steps of each task are cut into equal shares, the grains, so that one lease may
-//! cover as many of them as fit its time.
+//! Numbering of the tasks of a stage. The steps of each task are divided into equal chunks, the grains. One lease covers one or
+//! more chunks of a task, depending on the time that they take.
 
 use std::num::NonZeroU64;
 use std::ops::Range;
@@ -8,22 +8,24 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Sizes, Template};
 
-/// How finely the tasks of a job are cut; fixed for its life.
+/// Size of the chunks into which a job's tasks are divided. It is fixed for the life of the job.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Cut {
-    /// Not at all: a lease covers all steps of a task.
+    /// No division: a lease covers all steps of a task.
     #[default]
     Whole,
-    /// Into grains of so many units of work, or up to twice as many.
+    /// Chunks of about this many units of work, up to twice as many. Chunks are smaller if the task has fewer units, and larger if
+    /// the task would otherwise have more than [`Grains::MOST`] chunks.
     Grains(NonZeroU64),
 }
 
-/// Steps of each task that differ from task to task: how many it has taken when the round begins, and when it ends.
+/// Steps of a round whose tasks differ in their number of steps: the steps each task has taken at the start and at the end of the
+/// round.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Uneven {
-    /// By task; no task more than at the round's end.
+    /// Steps of each task at the start of the round, not greater than at its end.
     pub from: Vec<u32>,
-    /// By task.
+    /// Steps of each task at the end of the round.
     pub to: Vec<u32>,
 }
 
@@ -34,17 +36,17 @@ impl Uneven {
     }
 }
 
-/// Steps that tasks have taken in all, in their order: one number where all have taken as many.
+/// Total number of steps of each task, in task order. A single number if all tasks have taken equally many.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Taken(Vec<u32>);
 
 impl Taken {
-    /// Of the task at this place among them; `None` where nothing is known of them.
+    /// Returns the steps of the task at this position; `None` if they are not known.
     pub fn of(&self, place: usize) -> Option<u32> {
         if let [all] = self.0[..] { Some(all) } else { self.0.get(place).copied() }
     }
 
-    /// As few numbers as say it.
+    /// Returns the shortest list that represents the steps: one number if all are equal.
     pub fn numbers(&self) -> &[u32] {
         &self.0
     }
@@ -60,16 +62,16 @@ impl FromIterator<u32> for Taken {
     }
 }
 
-/// Steps of a round's tasks.
+/// Steps of the tasks of a round.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Steps<'a> {
-    /// The same of each.
+    /// All tasks take these steps.
     Even(Range<u32>),
     Uneven(&'a Uneven),
 }
 
-/// The keys of one stage in one round: grain `g` of task `t` is the key `t * stride + g`. A lease covers a run of grains of one
-/// task; its key is that of the first. A task without steps has no grains.
+/// Keys of one stage in one round. Chunk `g` of task `t` has the key `t * stride + g`. A lease covers a run of chunks of one task,
+/// and its key is that of the first chunk. A task without steps has no chunks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Grains<'a> {
     sizes: &'a Sizes,
@@ -78,12 +80,12 @@ pub struct Grains<'a> {
 }
 
 impl<'a> Grains<'a> {
-    /// Most grains of a task.
+    /// Maximum number of chunks of a task.
     pub const MOST: u32 = 64;
 
-    /// Of a round of a stage. To which task a key belongs follows from the plan alone: a task that takes more steps than planned
-    /// has larger grains, not more of them.
-    /// - `uneven`: where the tasks differ in their steps.
+    /// Numbers the tasks of a round of a stage. The plan alone decides which task a key belongs to: a task that takes more steps
+    /// than planned has larger chunks, not more chunks.
+    /// - `uneven`: steps of the tasks, where tasks differ.
     pub fn of(template: &'a Template, round: u32, uneven: Option<&'a Uneven>, cut: Cut) -> Self {
         let steps = uneven.map_or_else(|| Steps::Even(template.steps_of(round)), Steps::Uneven);
         let most = template.steps_of(round).len() as u32;
@@ -97,32 +99,32 @@ impl<'a> Grains<'a> {
         Self { sizes: &template.sizes, steps, stride }
     }
 
-    /// Tasks of the stage.
+    /// Number of tasks of the stage.
     pub fn tasks(&self) -> u32 {
         self.sizes.tasks()
     }
 
-    /// Most grains of a task.
+    /// Maximum number of chunks of a task in this stage.
     pub fn stride(&self) -> u32 {
         self.stride
     }
 
-    /// Whether every task has the same number of grains.
+    /// Returns whether every task has the same number of chunks.
     pub fn is_even(&self) -> bool {
         matches!(self.steps, Steps::Even(_))
     }
 
-    /// From the first key to beyond the last one; of uneven stages some of them are no keys.
+    /// Returns the range from the first key to past the last. In an uneven stage, some numbers in it are not keys.
     pub fn all(&self) -> Range<u32> {
         0..self.tasks() * self.stride
     }
 
-    /// The task that a key belongs to.
+    /// Returns the task that a key belongs to.
     pub fn task(&self, key: u32) -> u32 {
         key / self.stride
     }
 
-    /// The keys of a task.
+    /// Returns the keys of a task.
     pub fn of_task(&self, task: u32) -> Range<u32> {
         let first = task * self.stride;
         let count = match &self.steps {
@@ -132,12 +134,12 @@ impl<'a> Grains<'a> {
         first..first + count
     }
 
-    /// From the first key of the first of these tasks to beyond the last one's.
+    /// Returns the range from the first key of the first task to past the last key of the last task.
     pub fn of_tasks(&self, tasks: &Range<u32>) -> Range<u32> {
         tasks.start * self.stride..tasks.end * self.stride
     }
 
-    /// All steps that the round takes of a task.
+    /// Returns all steps that a task takes in the round.
     pub fn steps_of(&self, task: u32) -> Range<u32> {
         match &self.steps {
             Steps::Even(steps) => steps.clone(),
@@ -145,7 +147,7 @@ impl<'a> Grains<'a> {
         }
     }
 
-    /// The steps of a run of one task's grains.
+    /// Returns the steps of a run of chunks of one task.
     pub fn steps(&self, run: &Range<u32>) -> Range<u32> {
         let task = self.task(run.start);
         let keys = self.of_task(task);
@@ -154,12 +156,12 @@ impl<'a> Grains<'a> {
         bound(run.start - first)..bound(run.end - first)
     }
 
-    /// Units of work of a run of one task's grains.
+    /// Returns the units of work of a run of chunks of one task.
     pub fn units(&self, run: &Range<u32>) -> u64 {
         self.sizes.of(self.task(run.start)) * self.steps(run).len() as u64
     }
 
-    /// The run from `first` that holds just these steps; `None`: there is no such run.
+    /// Returns the run that begins at key `first` and holds exactly these steps; `None` if no run does.
     pub fn run(&self, first: u32, steps: &Range<u32>) -> Option<Range<u32>> {
         if first >= self.all().end {
             return None;
@@ -170,8 +172,8 @@ impl<'a> Grains<'a> {
 }
 
 impl Template {
-    /// The steps that a round takes of each task, where they do not differ; empty beyond the last round. Of a stage that is not
-    /// cut, one.
+    /// Returns the steps that each task takes in a round where tasks do not differ. The range is empty past the last round. A stage
+    /// that is not divided into chunks has one step.
     pub fn steps_of(&self, round: u32) -> Range<u32> {
         if !self.kind.is_cut() {
             return 0..1;
@@ -188,7 +190,7 @@ mod tests {
 
     use super::*;
 
-    /// Two tasks of 64 units a step, and one of 32.
+    /// Makes a stage with two tasks of 64 units per step and one of 32.
     fn template(steps: &[u32]) -> Template {
         let sizes = [(2, 64), (1, 32)].into_iter().collect();
         Template::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).steps(steps)

@@ -1,63 +1,63 @@
-//! What a job is made of: templates of stages, which every frame, or the job as a whole, has once.
+//! Structure of a job: templates of stages. Each template runs once per frame, once per shared content, or once per job.
 //!
-//! A stage is an array of tasks of one kind; its needs say which outputs of which stages a task reads. A stage may close a
-//! **loop**: its one task decides, by its result, whether the stages of the loop run for another round.
+//! A stage is an array of tasks of one kind. Its needs state which outputs of which stages a task reads. A stage may close a
+//! **loop**: its only task decides, with its result, whether the stages of the loop run for another round.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Grains, JobSpec, Role, StageKind};
 
-/// The stages of a job. A stage is named by its number here, and needs those before it only, or, of the round before, any of
-/// its loop.
+/// Stages of a job. A stage is identified by its index here. It may read only earlier stages, or any stage of its own loop in the
+/// previous round.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Graph {
-    /// In an order in which they can run.
+    /// Stages in an order in which they can run.
     pub stages: Vec<Template>,
 }
 
-/// A stage of every unit of its scope.
+/// Template of a stage, instantiated once for each unit of its scope.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Template {
-    /// Kind of its tasks.
+    /// Kind of the stage's tasks.
     pub kind: StageKind,
-    /// Unit that has this stage once: a frame, a job, or a shared content.
+    /// Unit that runs this stage once: a frame, a job, or a shared content.
     pub scope: Scope,
-    /// Its tasks, and what a step of each is.
+    /// Number of tasks, and units of work per step of each task.
     pub sizes: Sizes,
-    /// Steps that each task has taken at the end of each round, strictly ascending. Of stages whose kind is not cut: empty, a
-    /// task is one step in each round.
+    /// Total steps that each task has taken at the end of each round, strictly ascending. Empty if the kind's tasks are not divided
+    /// into chunks: then a task is one step in each round.
     pub steps: Vec<u32>,
-    /// Outputs that its tasks read.
+    /// Outputs that the stage's tasks read.
     pub needs: Vec<Need>,
-    /// What its tasks may look at, if it is there: it saves them time and changes none of their bytes.
+    /// Optional inputs. A task reads them if they are available. They save time and change no byte of the results.
     pub hints: Vec<Hint>,
-    /// The roles of its outputs, each once.
+    /// Roles of the stage's outputs, each role once.
     pub makes: Vec<Role>,
-    /// The loop that it closes.
+    /// Loop that the stage closes.
     pub closes: Option<Loop>,
-    /// What its tasks are told beyond their inputs and the job's settings, in a form that the kind defines; empty: nothing.
+    /// Options of the tasks, beside their inputs and the job's settings, in a format that the kind defines. Empty: no options.
     pub options: String,
-    /// A worker must have all of these for its tasks, and the job's.
+    /// Tags that a worker must have for these tasks, in addition to the tags of the job.
     pub tags: Vec<String>,
 }
 
-/// Stages that run in rounds.
+/// Loop: stages that run in rounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Loop {
-    /// The first stage of the loop; the last one is the stage that closes it.
+    /// First stage of the loop. The last stage is the one that closes the loop.
     pub first: u16,
-    /// Most rounds.
+    /// Maximum number of rounds.
     pub rounds: u32,
 }
 
-/// What has a stage once.
+/// Unit that runs a stage once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Scope {
     /// The job.
     Job,
     /// Every frame.
     Frame,
-    /// What has one content, such as a world: done once for all frames, and all jobs, that name the same key.
+    /// A shared content, such as a world. The stage runs once for all frames, and all jobs, that name the same key.
     Content,
 }
 
@@ -65,7 +65,7 @@ impl Scope {
     /// All scopes.
     pub const ALL: [Self; 3] = [Self::Job, Self::Frame, Self::Content];
 
-    /// Whether a stage of this scope may read one of that.
+    /// Returns whether a stage of this scope may read a stage of scope `other`.
     pub const fn may_read(self, other: Self) -> bool {
         matches!(
             (self, other),
@@ -76,10 +76,10 @@ impl Scope {
     }
 }
 
-/// Outputs of one role of a stage, which the tasks of another read.
+/// Outputs of one role of a stage that the tasks of another stage read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Need {
-    /// The stage that makes them.
+    /// Stage that makes the outputs.
     pub stage: u16,
     /// Role of the outputs.
     pub role: Role,
@@ -87,15 +87,15 @@ pub struct Need {
     pub reach: Reach,
     /// Round of that stage whose outputs are read.
     pub round: Round,
-    /// Whether frames that cannot be finished may be missing; of a stage of the job that reads a stage of frames.
+    /// Whether frames that cannot be finished may be missing. Used by stages of the job that read a stage of frames.
     pub gaps: bool,
 }
 
-/// Outputs of one role of a stage of the frame before, in the order of the job's frames: of its last round, as far as they are
-/// there. Only of a stage of frames. Nothing waits for them, and nothing is done again when they are lost.
+/// Optional input from the preceding frame, in the order of the job's frames: the available outputs of one role, from the last
+/// round of a stage. Only stages of frames have hints. No task waits for a hint, and lost hints are not recomputed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hint {
-    /// The stage that makes them: any of the frame, also the one that looks.
+    /// Stage that makes the outputs: any stage of frames, including the one with the hint.
     pub stage: u16,
     /// Role of the outputs.
     pub role: Role,
@@ -103,47 +103,48 @@ pub struct Hint {
     pub reach: Reach,
 }
 
-/// Which tasks of a stage a task reads. Where a stage of the job reads a stage of frames, its tasks are counted through over all
-/// frames in their order.
+/// Tasks of a stage that a task reads. Where a stage of the job reads a stage of frames, the tasks are numbered consecutively over
+/// all frames, in frame order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Reach {
-    /// All.
+    /// All tasks.
     All,
-    /// The one of the same number.
+    /// The task with the same number.
     Same,
-    /// Task `i` reads those from `i * n` to `(i + 1) * n`.
+    /// Task `i` reads tasks `i * n` to `(i + 1) * n` (exclusive).
     Fan(u32),
-    /// Task `i` reads task `i - 1`, which its own stage may make, too: a chain. The first task reads none.
+    /// Task `i` reads task `i - 1`, which may belong to its own stage (a chain). The first task reads none.
     Previous,
 }
 
-/// Which round of a stage a task reads.
+/// Round of a stage that a task reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Round {
-    /// Its own, in a loop; the last, of a stage whose loop is over, or of another scope.
+    /// The task's own round, inside a loop. The last round, for a stage whose loop is over or a stage of another scope.
     Same,
-    /// The one before, in a loop; in the first round there is none.
+    /// The previous round, inside a loop. The first round reads nothing.
     Before,
-    /// All rounds, of a stage whose loop is over, or of another scope: there nobody else reads the last one alone.
+    /// All rounds of a stage whose loop is over, or of a stage of another scope. No other reader there may read only the last round
+    /// of the output.
     Every,
 }
 
-/// The tasks of a stage in order, and the units of work of a step of each: equal neighbors in one entry.
+/// Tasks of a stage in order, with the units of work per step of each. Equal neighbors share an entry.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sizes(Vec<(u32, u64)>);
 
 impl Sizes {
-    /// So many tasks, each of so many units a step.
+    /// Makes `tasks` tasks of `units` units per step each.
     pub fn even(tasks: u32, units: u64) -> Self {
         std::iter::repeat_n(units, tasks.min(1) as usize).map(|units| (tasks, units)).collect()
     }
 
-    /// How many tasks there are.
+    /// Returns the number of tasks.
     pub fn tasks(&self) -> u32 {
         self.0.iter().fold(0, |sum, (tasks, _)| sum.saturating_add(*tasks))
     }
 
-    /// Units of a step of a task; 0 beyond the last.
+    /// Returns the units per step of a task; 0 past the last task.
     pub fn of(&self, task: u32) -> u64 {
         let mut left = task;
         for &(tasks, units) in &self.0 {
@@ -155,17 +156,17 @@ impl Sizes {
         0
     }
 
-    /// Units of a step of all tasks.
+    /// Returns the units per step, summed over all tasks.
     pub fn sum(&self) -> u64 {
         self.0.iter().fold(0, |sum, (tasks, units)| sum.saturating_add(u64::from(*tasks).saturating_mul(*units)))
     }
 
-    /// The greatest units of a step of a task.
+    /// Returns the greatest number of units per step of any task.
     pub fn greatest(&self) -> u64 {
         self.0.iter().map(|(_, units)| *units).max().unwrap_or(0)
     }
 
-    /// How many tasks, and the units of a step of each; neighbors differ where [`Sizes::from_iter`] made them.
+    /// Returns the entries: a number of tasks, and the units per step of each. Neighbors differ if [`Sizes::from_iter`] made them.
     pub fn runs(&self) -> &[(u32, u64)] {
         &self.0
     }
@@ -185,7 +186,7 @@ impl FromIterator<(u32, u64)> for Sizes {
 }
 
 impl Template {
-    /// A stage without inputs.
+    /// Makes a stage without inputs.
     pub fn new(kind: StageKind, scope: Scope, sizes: Sizes, makes: &[Role]) -> Self {
         Self {
             kind,
@@ -201,154 +202,155 @@ impl Template {
         }
     }
 
-    /// The same, each task of which has taken so many steps at the end of each round.
+    /// Sets the total steps of each task at the end of each round.
     pub fn steps(self, steps: &[u32]) -> Self {
         Self { steps: steps.to_vec(), ..self }
     }
 
-    /// The same with one more need, of its own round.
+    /// Adds a need with [`Round::Same`].
     pub fn reads(self, stage: u16, role: Role, reach: Reach) -> Self {
         self.needs(Need { stage, role, reach, round: Round::Same, gaps: false })
     }
 
-    /// The same with one more need.
+    /// Adds a need.
     pub fn needs(mut self, need: Need) -> Self {
         self.needs.push(need);
         self
     }
 
-    /// The same with one more hint.
+    /// Adds a hint.
     pub fn looks_at(mut self, stage: u16, role: Role, reach: Reach) -> Self {
         self.hints.push(Hint { stage, role, reach });
         self
     }
 
-    /// The same, which closes a loop.
+    /// Makes the stage close a loop.
     pub fn closes(self, first: u16, rounds: u32) -> Self {
         Self { closes: Some(Loop { first, rounds }), ..self }
     }
 
-    /// The same, whose tasks are told this.
+    /// Sets the options of the tasks.
     pub fn options(self, options: impl Into<String>) -> Self {
         Self { options: options.into(), ..self }
     }
 
-    /// The same for workers that have these tags.
+    /// Sets the tags that a worker must have.
     pub fn tags(self, tags: &[&str]) -> Self {
         Self { tags: tags.iter().map(|tag| (*tag).to_owned()).collect(), ..self }
     }
 
-    /// How many tasks it has in a round.
+    /// Returns the number of tasks in a round.
     pub fn tasks(&self) -> u32 {
         self.sizes.tasks()
     }
 }
 
 impl Graph {
-    /// Most stages.
+    /// Maximum number of stages.
     pub const MAX_STAGES: usize = 64;
-    /// Most tasks of a stage.
+    /// Maximum number of tasks of a stage.
     pub const MAX_TASKS: u32 = 1 << 16;
-    /// Most rounds of a loop.
+    /// Maximum number of rounds of a loop.
     pub const MAX_ROUNDS: u32 = 64;
-    /// Most outputs that a task may read, in whatever parts they come: 2^20, some 60 bytes each in its assignment.
+    /// Maximum number of outputs that a task may read, counting each chunk: 2^20, about 60 bytes each in its assignment.
     pub const MAX_INPUTS: u64 = 1 << 20;
-    /// Most needs of a stage.
+    /// Maximum number of needs of a stage.
     pub const MAX_NEEDS: usize = 16;
-    /// Most entries of a stage's sizes.
+    /// Maximum number of entries in a stage's sizes.
     pub const MAX_RUNS: usize = 1 << 17;
-    /// Most bytes of a stage's options.
+    /// Maximum length of a stage's options in bytes.
     pub const MAX_OPTIONS: usize = 1 << 12;
 
-    /// The stage of this number.
+    /// Returns the stage with this number.
     pub fn stage(&self, stage: u16) -> Option<&Template> {
         self.stages.get(usize::from(stage))
     }
 
-    /// The stages with their numbers.
+    /// Returns the stages with their numbers.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = (u16, &Template)> {
         self.stages.iter().enumerate().map(|(stage, template)| (stage as u16, template))
     }
 
-    /// The stages of a scope, with their numbers.
+    /// Returns the stages of a scope with their numbers.
     pub fn of(&self, scope: Scope) -> impl DoubleEndedIterator<Item = (u16, &Template)> {
         self.iter().filter(move |(_, template)| template.scope == scope)
     }
 
-    /// Whether something of it is done once for the whole job.
+    /// Returns whether the graph has a stage that runs once for the whole job.
     pub fn has_job(&self) -> bool {
         self.of(Scope::Job).next().is_some()
     }
 
-    /// Whether something of it is done once for all that have one content.
+    /// Returns whether the graph has a stage that runs once per shared content.
     pub fn has_content(&self) -> bool {
         self.of(Scope::Content).next().is_some()
     }
 
-    /// Whether a stage of frames reads what is done for a content.
+    /// Returns whether this is a stage of frames that reads a stage of a shared content.
     pub fn reads_content(&self, stage: u16) -> bool {
         let needs = self.stage(stage).filter(|template| template.scope == Scope::Frame).map(|template| &template.needs);
         let is_content = |need: &Need| self.stage(need.stage).is_some_and(|made| made.scope == Scope::Content);
         needs.is_some_and(|needs| needs.iter().any(is_content))
     }
 
-    /// Whether stages of the job may do without frames that cannot be finished.
+    /// Returns whether some stage of the job accepts missing frames.
     pub fn has_gaps(&self) -> bool {
         self.of(Scope::Job).any(|(_, template)| template.needs.iter().any(|need| need.gaps))
     }
 
-    /// The loop of a scope, and the stage that closes it.
+    /// Returns the loop of a scope and the stage that closes it.
     pub fn loop_of(&self, scope: Scope) -> Option<(u16, Loop)> {
         self.of(scope).find_map(|(stage, template)| Some((stage, template.closes?)))
     }
 
-    /// Whether a stage is in its scope's loop.
+    /// Returns whether a stage is in the loop of its scope.
     pub fn is_looped(&self, stage: u16) -> bool {
         let scope = self.stage(stage).map(|template| template.scope);
         let around = scope.and_then(|scope| self.loop_of(scope));
         around.is_some_and(|(last, Loop { first, .. })| (first..=last).contains(&stage))
     }
 
-    /// Whether a stage closes a loop.
+    /// Returns whether a stage closes a loop.
     pub fn closes(&self, stage: u16) -> bool {
         self.stage(stage).is_some_and(|template| template.closes.is_some())
     }
 
-    /// Most rounds in which a stage runs.
+    /// Returns the maximum number of rounds in which a stage runs.
     pub fn rounds(&self, stage: u16) -> u32 {
         let scope = self.stage(stage).map(|template| template.scope);
         let around = scope.and_then(|scope| self.loop_of(scope)).filter(|_| self.is_looped(stage));
         around.map_or(1, |(_, Loop { rounds, .. })| rounds)
     }
 
-    /// Who reads a stage's outputs: the number of each stage that does, and its need.
+    /// Returns the readers of a stage's outputs: the number and the need of each reading stage.
     pub fn readers(&self, stage: u16) -> impl Iterator<Item = (u16, &Need)> {
         let needs = self.iter().flat_map(|(reader, template)| template.needs.iter().map(move |need| (reader, need)));
         needs.filter(move |(_, need)| need.stage == stage)
     }
 
-    /// Whether a frame may look at the one before.
+    /// Returns whether some stage has a hint.
     pub fn has_hints(&self) -> bool {
         self.stages.iter().any(|template| !template.hints.is_empty())
     }
 
-    /// Whether the frame behind may look at this output of a stage.
+    /// Returns whether the next frame may use this output of a stage as a hint.
     pub fn is_hint(&self, stage: u16, role: Role) -> bool {
         let mut hints = self.stages.iter().flat_map(|template| &template.hints);
         hints.any(|hint| (hint.stage, hint.role) == (stage, role))
     }
 
-    /// The first stage whose tasks are cut: what people count a frame's progress in.
+    /// Returns the first stage of frames whose tasks are divided into chunks. The progress of a frame is shown in its units.
     pub fn main(&self) -> Option<(u16, &Template)> {
         self.of(Scope::Frame).find(|(_, template)| template.kind.is_cut())
     }
 
-    /// Tasks of one frame, or of the job, if every round runs.
+    /// Returns the number of tasks of one frame, or of the job, if every round runs.
     pub fn tasks(&self, scope: Scope) -> u64 {
         self.of(scope).map(|(stage, template)| u64::from(template.tasks()) * u64::from(self.rounds(stage))).sum()
     }
 
-    /// Most outputs that one task reads, of a job of so many frames, if what may be cut is cut into as many parts as may be.
+    /// Returns the maximum number of outputs that one task reads in a job of `frames` frames, if every task that can be divided has
+    /// the maximum number of chunks.
     pub fn most_inputs(&self, frames: u64) -> u64 {
         let of_need = |template: &Template, need: &Need| {
             let Some(made) = self.stage(need.stage) else { return 0 };
@@ -369,13 +371,13 @@ impl Graph {
         self.stages.iter().map(of_task).max().unwrap_or(0)
     }
 
-    /// Its bytes: the same graph gives the same.
+    /// Encodes the graph. Equal graphs give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
-        // Numbers and lists, written to memory: that does not fail.
+        // Encoding numbers and lists to memory cannot fail.
         postcard::to_stdvec(self).unwrap_or_default()
     }
 
-    /// Refuses what no scheduler should see.
+    /// Checks that a scheduler can run the graph.
     pub fn check(&self) -> Result<(), GraphError> {
         if self.stages.len() > Self::MAX_STAGES {
             return Err(GraphError::TooMany { what: "stages", limit: Self::MAX_STAGES as u64 });
@@ -468,7 +470,7 @@ impl Graph {
         Ok(())
     }
 
-    /// What is read of a stage in a loop beyond its scope is kept of the last round, or of every one.
+    /// Checks that all readers from another scope read an output of a loop in the same way: either the last round or every round.
     fn check_last_or_every(&self) -> Result<(), GraphError> {
         let beyond = |made: u16, &(reader, _): &(u16, &Need)| {
             let scope = |number| self.stage(number).map(|template| template.scope);
@@ -522,7 +524,8 @@ impl Graph {
         }
     }
 
-    /// Refuses stages of the job whose tasks read the tasks of so many frames, and are too many for them or too few.
+    /// Checks that stages of the job that read stages of frames with [`Reach::Fan`] have the right number of tasks for `frames`
+    /// frames.
     pub fn check_frames(&self, frames: u64) -> Result<(), GraphError> {
         for (stage, template) in self.of(Scope::Job) {
             for need in &template.needs {
@@ -539,45 +542,46 @@ impl Graph {
     }
 }
 
-/// Why a graph cannot be run.
+/// Reason why a graph cannot run.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GraphError {
-    /// Beyond a limit.
+    /// A quantity exceeds its limit.
     #[error("{what}: at most {limit}")]
     TooMany {
-        /// Quantity that is beyond its limit.
+        /// Quantity that exceeds its limit.
         what: &'static str,
-        /// The most there may be.
+        /// Maximum permitted value.
         limit: u64,
     },
-    /// No stage of frames.
+    /// The graph has no stage of frames.
     #[error("the job has no stages for its frames")]
     Empty,
-    /// None, or some without a size.
+    /// The stage has no tasks, has an empty entry in its sizes, or has more than `u32::MAX` units per step.
     #[error("stage {stage} has no tasks")]
     Tasks {
         /// Number of the stage in the graph.
         stage: u16,
     },
-    /// None where tasks are cut, or not ascending, or not one for each round.
+    /// The steps are missing where tasks are divided into chunks (or given where they are not), not ascending, or not one per
+    /// round.
     #[error("the steps of stage {stage} must ascend from 1, one number for each round")]
     Steps {
         /// Number of the stage in the graph.
         stage: u16,
     },
-    /// A role twice.
+    /// A role occurs twice.
     #[error("stage {stage} makes two outputs of one role")]
     Makes {
         /// Number of the stage in the graph.
         stage: u16,
     },
-    /// What is shown on terminals must not steer them.
+    /// A text contains control characters. Texts are shown on terminals and must not control them.
     #[error("control characters in the options or tags of stage {stage}")]
     Control {
         /// Number of the stage in the graph.
         stage: u16,
     },
-    /// A loop that cannot be.
+    /// The loop is invalid.
     #[error("stage {stage}: {why}")]
     Loop {
         /// Number of the stage in the graph.
@@ -585,7 +589,7 @@ pub enum GraphError {
         /// Rule that the stage breaks.
         why: &'static str,
     },
-    /// Something that is never there.
+    /// The hint can never be available.
     #[error("stage {stage} cannot look at the frame before: {why}")]
     Hint {
         /// Number of the stage in the graph.
@@ -593,21 +597,21 @@ pub enum GraphError {
         /// Rule that the stage breaks.
         why: &'static str,
     },
-    /// A stage of the job with other tasks than the frames feed.
+    /// The number of tasks of a stage of the job does not match the tasks of frames that it reads.
     #[error("stage {stage} has {found} tasks; {wanted} are needed to read the frames' {read} tasks, {fan} each")]
     Fan {
         /// Number of the stage in the graph.
         stage: u16,
-        /// Its tasks.
+        /// Number of tasks of the stage.
         found: u32,
-        /// Tasks that it should have.
+        /// Number of tasks that the stage should have.
         wanted: u64,
-        /// Tasks of all frames that it reads.
+        /// Number of tasks in all frames that the stage reads.
         read: u64,
-        /// Tasks of frames that each of its tasks reads.
+        /// Number of tasks of frames that each of its tasks reads.
         fan: u32,
     },
-    /// A need that cannot be met.
+    /// The need cannot be satisfied.
     #[error("stage {stage}: {why}")]
     Need {
         /// Number of the stage in the graph.

@@ -27,30 +27,30 @@ pub struct TileRect {
 }
 
 impl TileRect {
-    /// Number of pixels.
+    /// Returns the number of pixels.
     pub const fn pixels(&self) -> u64 {
         self.width as u64 * self.height as u64
     }
 }
 
 impl Grid {
-    /// Number of tiles.
+    /// Returns the number of tiles.
     pub const fn tiles(&self) -> u32 {
         self.film[0].div_ceil(self.tile) * self.film[1].div_ceil(self.tile)
     }
 
-    /// Number of pixels of the film.
+    /// Returns the number of pixels of the film.
     pub const fn pixels(&self) -> u64 {
         self.film[0] as u64 * self.film[1] as u64
     }
 
-    /// The tiles, each of as many units as it has pixels.
+    /// Returns the tiles as task sizes: one unit per pixel.
     pub fn sizes(&self) -> Sizes {
         let rects = (0..self.tiles()).filter_map(|tile| self.rect(tile));
         rects.map(|rect| (1, rect.pixels())).collect()
     }
 
-    /// The tile number `index`, or `None` beyond the last.
+    /// Returns the tile with number `index`, or `None` past the last.
     pub fn rect(&self, index: u32) -> Option<TileRect> {
         if index >= self.tiles() {
             return None;

@@ -1,24 +1,25 @@
-//! Names of things, and the scheduler's time.
+//! Identifiers, and the scheduler's time.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// A job, numbered from 1 in order of submission; never used twice.
+/// Number of a job. Jobs are numbered from 1 in the order of submission. A number is never used twice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct JobId(pub u64);
 
 impl JobId {
-    /// Numbers from here on are not jobs of people: each is what is done for one content by one build of the engine, for all jobs.
+    /// First number of shared results. Such a number is not a job of a user. It stands for the stages that one build of the engine
+    /// computes for one shared content, for all jobs.
     const SHARED: u64 = 1 << 62;
 
-    /// The number `number` (from 1) of what jobs share.
+    /// Returns the id of the shared result number `number` (from 1).
     pub const fn shared(number: u64) -> Self {
         Self(Self::SHARED | number)
     }
 
-    /// Whether it is what jobs share, and none of them.
+    /// Returns whether this is the id of a shared result, not of a job.
     pub const fn is_shared(self) -> bool {
         self.0 >= Self::SHARED
     }
@@ -30,12 +31,12 @@ impl fmt::Display for JobId {
     }
 }
 
-/// A text that is no [`JobId`].
+/// Error for a text that is not a [`JobId`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("a job is named by its number, like 7, or, if jobs share it, like shared-3")]
 pub struct NoJobId;
 
-/// As it is printed.
+/// Parses the printed form.
 impl FromStr for JobId {
     type Err = NoJobId;
 
@@ -48,7 +49,7 @@ impl FromStr for JobId {
     }
 }
 
-/// The number of a worker. No two sessions have the same one at a time; a worker that comes back gets its old one.
+/// Number of a worker. No two sessions have the same number at a time. A worker that reconnects gets its old number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct WorkerId(pub u64);
 
@@ -58,35 +59,34 @@ impl fmt::Display for WorkerId {
     }
 }
 
-/// The fence of a lease: every lease has a greater epoch than all before it, over restarts too.
+/// Fencing token of a lease. Every lease has a greater epoch than all earlier leases, also across restarts.
 ///
-/// The upper bits hold the coordinator's incarnation, which is durable; the lower bits count the leases of that
-/// incarnation, which are not. So a lease costs no write, and a lease of a dead coordinator is always refused.
+/// The upper bits hold the coordinator's incarnation, which is durable. The lower bits count the leases of that incarnation and are
+/// not durable. So a lease costs no write, and a lease from an earlier run of the coordinator is always refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Epoch(pub u64);
 
 impl Epoch {
-    /// Bits that count the leases of one incarnation.
+    /// Number of bits that count the leases of one incarnation.
     const LEASE_BITS: u32 = 40;
 
-    /// Epoch of the lease number `lease` (from 1) of an incarnation (from 1).
+    /// Returns the epoch of the lease number `lease` (from 1) of an incarnation (from 1).
     pub const fn new(incarnation: u32, lease: u64) -> Self {
         Self(((incarnation as u64) << Self::LEASE_BITS) | lease)
     }
 }
 
-/// The coordinator's running time in milliseconds: it goes on where the log ended, and stands still while the
-/// coordinator is down.
+/// Running time of the coordinator in milliseconds. It resumes where the log ended, and stands still while the coordinator is down.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Tick(pub u64);
 
 impl Tick {
-    /// This instant and `milliseconds` more.
+    /// Returns this instant plus `milliseconds`.
     pub const fn after(self, milliseconds: u64) -> Self {
         Self(self.0.saturating_add(milliseconds))
     }
 
-    /// Milliseconds from `earlier` until this instant; 0 where `earlier` is later.
+    /// Returns the milliseconds from `earlier` to this instant; 0 if `earlier` is later.
     pub const fn since(self, earlier: Self) -> u64 {
         self.0.saturating_sub(earlier.0)
     }

@@ -1,58 +1,59 @@
-//! What is asked for: a scene, its settings, its frames.
+//! Jobs: scene, settings and frames, their limits and states, and the actions on them.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Digest, Graph, GraphError, Grid, JobNotes, NotesError, Scope, Stage};
 
-/// A job as it was submitted; it never changes, but for its priority.
+/// A job as submitted. Only its priority can change.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobSpec {
-    /// Name for people and for file names: the scene file's stem.
+    /// Name for display and for file names: the stem of the scene file.
     pub name: String,
-    /// The scene in the artifact store: a [`Manifest`](crate::Manifest), which names the artifacts that hold its files.
+    /// Scene in the artifact store: a [`Manifest`](crate::Manifest), which names the artifacts that hold the scene's files.
     pub bundle: Digest,
     /// Path of the scene file within the bundle.
     pub entry: String,
-    /// The render settings as JSON; only the worker and the command line look inside. The coordinator reads the error that frames are
-    /// to reach, to show it.
+    /// Render settings as JSON. Only the worker and the command line interpret them, except that the coordinator reads the error
+    /// target of frames, to show it.
     pub settings: String,
     /// Frame numbers, strictly ascending.
     pub frames: Vec<u32>,
     /// Film and tiles.
     pub grid: Grid,
-    /// Its stages.
+    /// Stages of the job.
     pub graph: Graph,
-    /// The keys of its frames' contents: up to this place in [`JobSpec::frames`] (exclusive) they have this one. Empty where no
-    /// stage is of a content. A key is a digest of all that the results of these stages depend on; workers compute it again.
+    /// Keys of the shared contents of the frames. An entry holds the position in [`JobSpec::frames`] at which its run of frames
+    /// ends (exclusive), and the key of these frames. Empty if no stage belongs to a shared content. A key is a digest of
+    /// everything that the results of these stages depend on. Workers recompute it.
     pub contents: Vec<(u32, Digest)>,
-    /// 0..=100; greater goes first.
+    /// Priority, 0..=100. Jobs with a greater priority go first.
     pub priority: u8,
     /// Name of the owner who submitted the job.
     pub owner: String,
-    /// A worker must have all of these.
+    /// Tags that a worker must have, all of them.
     pub tags: Vec<String>,
-    /// Comment, labels, and the address that is told of its end.
+    /// Comment, labels, and the address that is notified when the job ends.
     #[serde(deserialize_with = "crate::since_version_11")]
     pub notes: JobNotes,
 }
 
 impl JobSpec {
-    /// Most tiles of a frame.
+    /// Maximum number of tiles of a frame.
     pub const MAX_TILES: u32 = Graph::MAX_TASKS;
-    /// Most frames of a job.
+    /// Maximum number of frames of a job.
     pub const MAX_FRAMES: usize = 1 << 20;
-    /// Most pixels along a side of the film.
+    /// Maximum side of the film in pixels.
     pub const MAX_SIDE: u32 = 1 << 16;
-    /// Most tags.
+    /// Maximum number of tags.
     pub const MAX_TAGS: usize = 64;
-    /// Most bytes of settings.
+    /// Maximum length of the settings in bytes.
     pub const MAX_SETTINGS: usize = 1 << 20;
-    /// Specs of jobs that a session keeps: a coordinator sends a spec again once it has sent this many others.
+    /// Number of job specs that a session remembers. A coordinator resends a spec after it has sent this many others.
     pub const SESSION_SPECS: usize = 1024;
-    /// Most bytes of a name, an owner, a tag, a path.
+    /// Maximum length in bytes of a name, an owner, a tag, or a path.
     pub const MAX_NAME: usize = 1 << 10;
 
-    /// Refuses what no scheduler should see.
+    /// Checks that a scheduler can run the job.
     pub fn check(&self) -> Result<(), SpecError> {
         let Grid { film, tile } = self.grid;
         if film.iter().any(|&side| side == 0 || side > Self::MAX_SIDE) || tile == 0 {
@@ -105,41 +106,41 @@ impl JobSpec {
         Ok(())
     }
 
-    /// Whether files may be called so that lie in a folder of somebody else's choice: one part of a path, and no part that
-    /// leads anywhere.
+    /// Returns whether `name` can be a file name in any folder that a user chooses: a single path component that does not lead to
+    /// another folder.
     pub fn names_files(name: &str) -> bool {
         let is_odd = |c: char| matches!(c, '/' | '\\' | ':') || c.is_control();
         !name.contains(is_odd) && !matches!(name, "" | "." | "..")
     }
 
-    /// The key of the content that the frame at this place of [`JobSpec::frames`] has.
+    /// Returns the key of the shared content of the frame at this position in [`JobSpec::frames`].
     pub fn content(&self, place: usize) -> Option<Digest> {
         let run = self.contents.partition_point(|(end, _)| *end as usize <= place);
         self.contents.get(run).map(|(_, key)| *key)
     }
 
-    /// Tasks of all its frames and rounds, and of the job as a whole.
+    /// Returns the number of tasks in all frames and rounds, including those of the job itself.
     pub fn tasks(&self) -> u64 {
         self.graph.tasks(Scope::Frame).saturating_mul(self.frames.len() as u64) + self.graph.tasks(Scope::Job)
     }
 
-    /// Samples a pixel at the end of each round, as planned.
+    /// Returns the planned samples per pixel at the end of each round.
     pub fn rounds(&self) -> &[u32] {
         self.graph.main().map_or(&[], |(_, template)| &template.steps)
     }
 
-    /// Samples a pixel that round `round` adds, as planned, as a range of sample indices; empty beyond the last round.
+    /// Returns the planned samples per pixel that round `round` adds, as a range of sample indices. Empty past the last round.
     pub fn samples(&self, round: u32) -> std::ops::Range<u32> {
         self.graph.main().map_or(0..0, |(_, template)| template.steps_of(round))
     }
 
-    /// Pixel samples of a frame, if every round runs as planned.
+    /// Returns the pixel samples of a frame if every round runs as planned.
     pub fn samples_of_frame(&self) -> u64 {
         let main = self.graph.main();
         main.map_or(0, |(_, it)| it.sizes.sum().saturating_mul(it.steps.last().copied().unwrap_or(0).into()))
     }
 
-    /// Digest of all that decides the job's pixels: two jobs with one key have the same frames to the bit.
+    /// Returns a digest of everything that decides the job's pixels. Jobs with equal keys have frames that are equal to the bit.
     pub fn key(&self) -> Digest {
         let mut bytes = Vec::new();
         let mut put = |part: &[u8]| {
@@ -164,34 +165,34 @@ fn numbers(values: &[u32]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
-/// Why a job cannot be taken.
+/// Reason why a job is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SpecError {
     /// A side is 0 or too long, or the tile's side is 0.
     #[error("film of {width} x {height} pixels in tiles of {tile}")]
     Film {
-        /// Pixels.
+        /// Size in pixels.
         width: u32,
-        /// Pixels.
+        /// Size in pixels.
         height: u32,
-        /// Pixels.
+        /// Size in pixels.
         tile: u32,
     },
-    /// Too many tiles.
+    /// There are too many tiles.
     #[error("{tiles} tiles a frame, at most {limit}")]
     Tiles {
-        /// Tiles of a frame.
+        /// Number of tiles of a frame.
         tiles: u64,
-        /// The most there may be.
+        /// Maximum permitted value.
         limit: u32,
     },
-    /// None, too many, or not ascending from 1.
+    /// The frame numbers are empty, too many, or not ascending from 1.
     #[error("{frames} frames: at least 1, at most {}, ascending from number 1", JobSpec::MAX_FRAMES)]
     Frames {
         /// Number of frames in the specification.
         frames: usize,
     },
-    /// Keys of contents for too few frames, or too many, or out of order.
+    /// The keys of shared contents are too few, too many, or out of order.
     #[error("the contents of {named} frames are named in order, {wanted} should be")]
     Contents {
         /// Number of frames with a key.
@@ -199,25 +200,25 @@ pub enum SpecError {
         /// Number of frames that need a key.
         wanted: usize,
     },
-    /// Stages that cannot be run.
+    /// The stages cannot run.
     #[error(transparent)]
     Graph(#[from] GraphError),
-    /// Beyond 100.
+    /// The priority is above 100.
     #[error("priority {priority}, at most 100")]
     Priority {
         /// Priority from the specification.
         priority: u8,
     },
-    /// Whoever fetches the job's frames names files by it.
+    /// The name of the job cannot be a file name. Files of the job's frames are named after it.
     #[error("the name of a job is the name of its files: it is not empty, and has no /, \\, : or control characters")]
     Name,
-    /// What is shown on terminals must not steer them.
+    /// A text contains control characters. Texts are shown on terminals and must not control them.
     #[error("control characters in a path, an owner or a tag")]
     Control,
-    /// A comment, a label or an address that cannot be kept.
+    /// A comment, a label or an address is not valid.
     #[error(transparent)]
     Notes(#[from] NotesError),
-    /// A text beyond its limit.
+    /// A text is longer than its limit.
     #[error("{field} is too long")]
     TooLong {
         /// Name of the field.
@@ -225,25 +226,25 @@ pub enum SpecError {
     },
 }
 
-/// Where a job stands.
+/// State of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum JobState {
-    /// Nothing of it has been leased yet.
+    /// No task of the job has been leased yet.
     Queued,
     /// Some task is leased or done.
     Running,
-    /// Held by a person; running tasks end.
+    /// Paused by a user. Running tasks are finished.
     Paused,
     /// Every frame is finished.
     Done,
-    /// Nothing is left to do, and some frame could not be finished.
+    /// Nothing is left to run, and some frame could not be finished.
     Failed,
-    /// Ended by a person.
+    /// Cancelled by a user.
     Cancelled,
 }
 
 impl JobState {
-    /// The state in one word.
+    /// Returns the state in one word.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Queued => "queued",
@@ -255,7 +256,7 @@ impl JobState {
         }
     }
 
-    /// Whether nothing more will happen by itself.
+    /// Returns whether the job has ended: nothing more happens without a user's action.
     pub const fn has_ended(self) -> bool {
         match self {
             Self::Queued | Self::Running | Self::Paused => false,
@@ -264,23 +265,23 @@ impl JobState {
     }
 }
 
-/// What a person may do to a job.
+/// Action of a user on a job.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Control {
-    /// Lease no more of it.
+    /// Lease no more tasks of the job.
     Pause,
     /// End a pause.
     Resume,
-    /// End it now; what is finished stays.
+    /// End the job now. Finished frames are kept.
     Cancel,
-    /// Try again what failed, or what a cancel left undone.
+    /// Retry everything that failed or that a cancellation left undone.
     Retry,
     /// Change the priority (0..=100).
     Priority(u8),
-    /// Try again what failed of these frames, and nothing else: a pause stays, and so do the failures of other frames. What of
-    /// them is shared with others is tried again for all who need it.
+    /// Retry the failures of these frames only. A paused job stays paused, and failures of other frames remain. Failures in shared
+    /// results are retried for all jobs that need them.
     RetryFrames(Vec<u32>),
-    /// Forget the job, which has ended, with its frames, its logs and its attempts.
+    /// Delete an ended job with its frames, logs and attempts.
     Delete,
 }
 
@@ -358,7 +359,7 @@ mod tests {
             graph.stages.push(pairs.reads(1, Role::Image, crate::Reach::Fan(fan)));
             JobSpec { graph, ..spec() }.check()
         };
-        // Of three frames.
+        // The job has three frames.
         assert_eq!((joined(3, 1), joined(2, 2), joined(1, 3), joined(1, 9)), (Ok(()), Ok(()), Ok(()), Ok(())));
         for (tasks, fan, wanted) in [(2, 1, 3), (4, 1, 3), (1, 2, 2), (3, 2, 2), (2, 3, 1)] {
             let error = GraphError::Fan { stage: 2, found: tasks, wanted, read: 3, fan };

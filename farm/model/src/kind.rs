@@ -1,37 +1,38 @@
-//! The tables of stage kinds and of output roles: all that the farm knows of a kind beside its code.
+//! Tables of stage kinds and of output roles. They hold everything that the farm knows about a kind, besides its code.
 
 use serde::{Deserialize, Serialize};
 
-/// What the tasks of a stage do. Its properties are a row of [`StageKind::row`]; what a worker does for it is a file of
-/// `worker/src/execute`.
+/// Kind of a stage: the work its tasks do. Its properties are a row of [`StageKind::row`]. The worker's code for a kind is a file
+/// in `worker/src/execute`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum StageKind {
     /// Renders samples of a tile.
     Render,
-    /// Unites outputs of one role.
+    /// Combines outputs of one role.
     Reduce,
     /// Measures a frame and writes its image.
     Image,
-    /// Exact arithmetic on numbers, for exercises of the farm.
+    /// Does exact arithmetic on numbers, to exercise the farm.
     Drill,
-    /// Decides by the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
+    /// Decides from the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
     Decide,
-    /// Shows frames under one exposure, and makes a contact sheet or a clip of them.
+    /// Tone-maps frames with one exposure, and makes a contact sheet or a clip of them.
     Encode,
-    /// What is solved once for all frames of one content, before their samples; where it is cut into blocks, what one task does for all.
+    /// Solves the first pass once for all frames of one shared content, before their samples. If the first pass is divided into
+    /// blocks, this kind is the part that one task does for all blocks.
     FirstPass,
-    /// A block of what is solved so.
+    /// Computes one block of a first pass.
     FirstPassBlock,
-    /// Paints a frame in a style, from its layers and what was painted of the frame before.
+    /// Paints a frame in a style, from its layers and the painting of the preceding frame.
     Paint,
 }
 
-/// Tasks of one lane are done one after the other, those of different lanes side by side.
+/// Lane of a task. A worker runs tasks of one lane one after another, and tasks of different lanes in parallel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Lane {
-    /// Takes all threads of the worker.
+    /// Uses all threads of the worker.
     Compute,
-    /// Joins what is there.
+    /// Joins existing outputs.
     Join,
 }
 
@@ -39,7 +40,7 @@ impl Lane {
     /// All lanes.
     pub const ALL: [Self; 2] = [Self::Compute, Self::Join];
 
-    /// Name, one word.
+    /// Name in one word.
     pub fn name(self) -> &'static str {
         match self {
             Self::Compute => "compute",
@@ -48,43 +49,43 @@ impl Lane {
     }
 }
 
-/// What a task wants to have near.
+/// Data that a task prefers to have on its worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Near {
-    /// The prepared frame: a worker goes on with a frame that it has prepared.
+    /// The prepared frame: a worker preferably continues with a frame that it has prepared.
     Frame,
-    /// Nothing but its inputs.
+    /// Only the inputs of the task.
     Inputs,
 }
 
-/// Where the log of an attempt goes that went well; those of failures are stored.
+/// Destination of the log of a successful attempt. Logs of failures always go to the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LogPlace {
-    /// It travels in the report and is kept in memory.
+    /// The log is part of the report and is kept in memory.
     Report,
-    /// Into the store.
+    /// The log goes to the store.
     Store,
 }
 
-/// A row of the kinds' table.
+/// Row of the table of kinds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct KindRow {
-    /// Name, one word.
+    /// Name in one word.
     pub name: &'static str,
-    /// What its steps are counted in, for people.
+    /// Unit in which the steps are counted, for display.
     pub unit: &'static str,
-    /// With what it competes on its worker.
+    /// Lane in which the tasks compete for the worker.
     pub lane: Lane,
-    /// Whether a lease may cover some of a task's steps.
+    /// Whether a lease may cover a part of a task's steps.
     pub is_cut: bool,
-    /// Data for whose sake the scheduler prefers a worker.
+    /// Data because of which the scheduler prefers a worker.
     pub near: Near,
-    /// Place where its tasks' logs are kept.
+    /// Destination of the logs of the kind's tasks.
     pub log: LogPlace,
 }
 
 impl StageKind {
-    /// All, in the order of the table.
+    /// All variants, in the order of the table.
     pub const ALL: [Self; 9] = [
         Self::Render,
         Self::Reduce,
@@ -97,7 +98,7 @@ impl StageKind {
         Self::Paint,
     ];
 
-    /// Its row of the table.
+    /// Returns the kind's row of the table.
     pub fn row(self) -> KindRow {
         use Lane::{Compute, Join};
         use LogPlace::{Report, Store};
@@ -108,37 +109,37 @@ impl StageKind {
             Self::Image => row("image", "inputs", Join, false, Near::Inputs, Store),
             Self::Drill => row("drill", "inputs", Compute, false, Near::Inputs, Report),
             Self::Decide => row("decide", "inputs", Join, false, Near::Inputs, Report),
-            // An encoder of videos takes all threads, too.
+            // A video encoder uses all threads, too.
             Self::Encode => row("encode", "inputs", Compute, false, Near::Inputs, Report),
-            // One a content, and long: its log is kept.
+            // There is one task per content, and it is long, so its log is stored.
             Self::FirstPass => row("first-pass", "solutions", Compute, false, Near::Inputs, Store),
             Self::FirstPassBlock => row("first-pass-block", "blocks", Compute, false, Near::Inputs, Report),
             Self::Paint => row("paint", "inputs", Compute, false, Near::Inputs, Report),
         }
     }
 
-    /// Name, one word.
+    /// Name in one word.
     pub fn name(self) -> &'static str {
         self.row().name
     }
 
-    /// The kind of this name.
+    /// Returns the kind with this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// Whether a lease may cover some of a task's steps.
+    /// Returns whether a lease may cover a part of a task's steps.
     pub fn is_cut(self) -> bool {
         self.row().is_cut
     }
 
-    /// Its place in [`StageKind::ALL`].
+    /// Returns the position in [`StageKind::ALL`].
     pub const fn place(self) -> usize {
         self as usize
     }
 }
 
-/// What an output is. Its properties are a row of [`Role::row`].
+/// Role of an output. Its properties are a row of [`Role::row`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Role {
     /// Encoded sums of a tile's samples.
@@ -149,41 +150,41 @@ pub enum Role {
     Pixels,
     /// A finished image as EXR.
     Image,
-    /// The same, tone-mapped, as PNG.
+    /// The finished image, tone-mapped, as PNG.
     Preview,
     /// Numbers of a drill.
     Numbers,
-    /// What came of a drill.
+    /// Result of a drill.
     Answer,
-    /// How far each of several tiles is from converged.
+    /// Errors of several tiles: their distance from convergence.
     Errors,
     /// Encoded sums of a tile's samples in blocks of pixels.
     Thumbnail,
-    /// Blocks of one or many frames, counted by their luminance.
+    /// Histogram of the luminance of pixel blocks, over one or more frames.
     Levels,
-    /// A frame under the clip's exposure as PNG, for its sheet and its clip.
+    /// A frame with the clip's exposure as PNG, input of the contact sheet and the clip.
     Picture,
-    /// The same, for people.
+    /// A frame with the clip's exposure as PNG, a result for users.
     Still,
-    /// All frames on one PNG.
+    /// Contact sheet: all frames in one PNG.
     Sheet,
     /// All frames as a clip.
     Clip,
-    /// Where the samples of tiles end that count in a frame.
+    /// Number of samples at which each tile of a frame ends.
     Stops,
-    /// What a first pass has found.
+    /// Solution of a first pass.
     Field,
-    /// What is known of the paths of samples: of a tile, or of several.
+    /// Path statistics of the samples of one or more tiles.
     Paths,
-    /// The same of all samples that count in a frame.
+    /// Path statistics of all samples that count in a frame.
     Statistics,
-    /// Elements of a first pass that is not done, and their light.
+    /// Elements of an unfinished first pass, and their light.
     Elements,
-    /// Links between these.
+    /// Links between the elements of an unfinished first pass.
     Links,
-    /// What the rays of a block of a first pass have met.
+    /// Hits of the rays of one block of a first pass.
     Rays,
-    /// Where the light of a block comes from.
+    /// Guiding data of a block: the directions from which its light comes.
     Guides,
     /// Encoded sums of the layers of a tile's samples.
     Layers,
@@ -193,23 +194,23 @@ pub enum Role {
     LayerImage,
     /// A frame in a painted style as PNG.
     Painted,
-    /// What the next frame's painting goes on with.
+    /// State from which the painting of the next frame continues.
     Brushwork,
 }
 
-/// A row of the roles' table.
+/// Row of the table of roles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RoleRow {
-    /// Name, one word.
+    /// Name in one word.
     pub name: &'static str,
-    /// Whether it is a result of the job: kept with it, and made again when it is lost.
+    /// Whether the output is a result of the job: it is kept with the job, and recreated when it is lost.
     pub is_result: bool,
-    /// Whether a task may do without it.
+    /// Whether a task may omit the output.
     pub is_optional: bool,
 }
 
 impl Role {
-    /// All, in the order of the table.
+    /// All variants, in the order of the table.
     pub const ALL: [Self; 27] = [
         Self::Tile,
         Self::Sums,
@@ -240,7 +241,7 @@ impl Role {
         Self::Brushwork,
     ];
 
-    /// Its row of the table.
+    /// Returns the role's row of the table.
     pub fn row(self) -> RoleRow {
         let row = |name, is_result, is_optional| RoleRow { name, is_result, is_optional };
         match self {
@@ -270,17 +271,17 @@ impl Role {
             Self::LayerPixels => row("layer-pixels", false, false),
             Self::LayerImage => row("layer-image", true, false),
             Self::Painted => row("painted", true, false),
-            // Kept, so that a painting that is lost in a job at work is made again alone.
+            // Kept, so that a painting that is lost while the job runs can be repainted alone.
             Self::Brushwork => row("brushwork", true, false),
         }
     }
 
-    /// Name, one word.
+    /// Name in one word.
     pub fn name(self) -> &'static str {
         self.row().name
     }
 
-    /// Its place in [`Role::ALL`].
+    /// Returns the position in [`Role::ALL`].
     pub const fn place(self) -> usize {
         self as usize
     }

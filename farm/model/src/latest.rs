@@ -1,28 +1,28 @@
-//! What was told last: a session of years remembers no more than one of days.
+//! A map with bounded size that keeps the latest entries. It bounds the memory of a session that lasts for years.
 
 use std::collections::{BTreeMap, VecDeque};
 
-/// The values that were put in last, by their keys.
+/// The latest inserted values, by key.
 #[derive(Debug, Clone)]
 pub struct Latest<K, V> {
     most: usize,
     values: BTreeMap<K, V>,
-    /// Oldest first.
+    /// Keys, oldest first.
     order: VecDeque<K>,
 }
 
 impl<K: Ord + Copy, V> Latest<K, V> {
-    /// Holds `most` values, at least one.
+    /// Makes a map that holds up to `most` values, at least one.
     pub fn new(most: usize) -> Self {
         Self { most: most.max(1), values: BTreeMap::new(), order: VecDeque::new() }
     }
 
-    /// The value of `key`, if it is one of the latest.
+    /// Returns the value of `key`, if it is still held.
     pub fn get(&self, key: &K) -> Option<&V> {
         self.values.get(key)
     }
 
-    /// Puts a value in, as the latest; the oldest goes where there are too many.
+    /// Inserts a value as the latest. Drops the oldest value if there are too many.
     pub fn put(&mut self, key: K, value: V) {
         if self.values.insert(key, value).is_some() {
             self.order.retain(|other| *other != key);

@@ -1,7 +1,7 @@
-//! What the farm talks about: ids, jobs, tasks, results, failures, the words of a session and what may be asked.
+//! Shared vocabulary of the farm: ids, jobs, tasks, results, failures, refusals, session messages and status queries.
 //!
-//! Values only: no clock, no network, no engine types. Everybody on the farm side (scheduler, wire, coordinator, worker,
-//! command line) shares these; the wire has its own generated types and converts.
+//! The crate holds values only: no clock, no network, no engine types. The scheduler, the wire, the coordinator, the worker and the
+//! command line share it. The wire has its own generated types and converts.
 #![deny(missing_docs)]
 
 mod digest;

@@ -1,31 +1,31 @@
-//! What a worker wrote down while it did a task.
+//! Logs that workers write while they run a task.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Artifact, Epoch, TaskKey, Tick};
 
-/// How an attempt at a task ended.
+/// Outcome of an attempt at a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Attempt {
-    /// With a result.
+    /// The attempt gave a result.
     Done,
-    /// With a failure.
+    /// The attempt failed.
     Failed,
 }
 
-/// Where the text of a log is.
+/// Place of a log's text.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum LogText {
-    /// Here: short, and kept by the coordinator for a while.
+    /// Inline: short, and kept by the coordinator for a while.
     Inline(String),
-    /// In the store, for as long as the job is known.
+    /// In the store, as long as the job exists.
     Stored(Artifact),
 }
 
 impl LogText {
-    /// Most bytes of a text that travels in a message.
+    /// Maximum length in bytes of a text that is sent in a message.
     pub const INLINE: usize = 2 << 10;
-    /// Most bytes of a text in the store.
+    /// Maximum length in bytes of a text in the store.
     pub const STORED: usize = 64 << 10;
 }
 
@@ -34,7 +34,7 @@ impl LogText {
 pub struct TaskLog {
     /// Outcome of the attempt.
     pub attempt: Attempt,
-    /// Seconds that it took.
+    /// Duration in seconds.
     pub seconds: f64,
     /// Text of the log, inline or stored.
     pub text: LogText,
@@ -49,7 +49,7 @@ pub struct LogRecord {
     pub epoch: Epoch,
     /// Name of the worker.
     pub worker: String,
-    /// When the attempt was reported.
+    /// Time at which the attempt was reported.
     pub at: Tick,
     /// The log.
     pub log: TaskLog,

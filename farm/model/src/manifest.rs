@@ -1,8 +1,7 @@
-//! A scene's files as pieces in the artifact store: what a job's `bundle` names.
+//! Manifests: the files of a scene as pieces in the artifact store. A job's `bundle` names a manifest.
 //!
-//! A manifest says which pieces there are and where in them every file lies. The farm looks at the pieces alone: whether
-//! they are there, and that they stay. A bundle that is not a manifest (earlier versions made one artifact of a scene) has
-//! no pieces.
+//! A manifest lists the pieces and the position of every file in them. The farm uses only the list of pieces: it checks that they
+//! exist and keeps them. A bundle that is not a manifest has no pieces: earlier versions stored a scene as one artifact.
 
 use std::collections::BTreeMap;
 
@@ -11,94 +10,94 @@ use crate::{Artifact, Digest};
 const MAGIC: &[u8; 8] = b"femcmnft";
 const VERSION: u32 = 1;
 
-/// A scene's files, and the artifacts that hold them.
+/// Files of a scene, and the artifacts that hold them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Manifest {
     /// The artifacts.
     pub pieces: Vec<Piece>,
-    /// Where each file lies, by its path: relative, `/`-separated, without `.`, `..` and empty parts.
+    /// Position of each file, by its path. Paths are relative, `/`-separated, and have no `.`, `..` or empty component.
     pub files: BTreeMap<String, Extent>,
 }
 
 /// An artifact that holds a large file or several small ones, compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Piece {
-    /// As stored.
+    /// Artifact in the store (compressed).
     pub artifact: Artifact,
-    /// Bytes once unpacked.
+    /// Size after unpacking, in bytes.
     pub unpacked: u64,
 }
 
-/// Where a file lies.
+/// Position of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extent {
     /// Index of the piece.
     pub piece: u32,
-    /// First byte within the unpacked piece.
+    /// First byte in the unpacked piece.
     pub offset: u64,
-    /// Bytes of the file.
+    /// Size of the file in bytes.
     pub bytes: u64,
 }
 
-/// Why bytes are no manifest.
+/// Reason why bytes are not a valid manifest.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ManifestError {
-    /// Not made by [`Manifest::encode`].
+    /// The bytes were not made by [`Manifest::encode`].
     #[error("not a manifest")]
     Magic,
-    /// Made by another version.
+    /// Another version of the format wrote it.
     #[error("manifest version {found}, this program reads {VERSION}")]
     Version {
-        /// Its version.
+        /// Version found.
         found: u32,
     },
-    /// Cut short, or with rubbish in it.
+    /// The manifest is truncated or has invalid content.
     #[error("the manifest is damaged")]
     Damaged,
-    /// A path that could lead out of the scene, or that some system would read differently.
+    /// A path could lead out of the scene's folder, or systems would interpret it differently.
     #[error("the manifest has the bad path {path:?}")]
     Path {
         /// Path from the manifest.
         path: String,
     },
-    /// A path twice, or out of order.
+    /// A path occurs twice or is out of order.
     #[error("the manifest has {path:?} twice or out of order")]
     Order {
         /// Path from the manifest.
         path: String,
     },
-    /// A file beyond its piece.
+    /// A file extends past the end of its piece.
     #[error("{path:?} lies beyond its piece")]
     Extent {
         /// Path of the file.
         path: String,
     },
-    /// Beyond a limit.
+    /// A quantity exceeds its limit.
     #[error("{what}: at most {limit}")]
     TooLarge {
-        /// Quantity that is beyond its limit.
+        /// Quantity that exceeds its limit.
         what: &'static str,
-        /// The most there may be.
+        /// Maximum permitted value.
         limit: u64,
     },
 }
 
 impl Manifest {
-    /// Most bytes of an encoded manifest.
+    /// Maximum size of an encoded manifest in bytes.
     pub const MOST: u64 = 64 << 20;
-    /// Most pieces.
+    /// Maximum number of pieces.
     pub const MOST_PIECES: u32 = 1 << 16;
-    /// Most bytes of a path.
+    /// Maximum length of a path in bytes.
     pub const MOST_PATH: usize = 1024;
-    /// Most bytes that the files of a scene, or its unpacked pieces, may add up to.
+    /// Maximum total size in bytes of a scene's files, and of its unpacked pieces.
     pub const MOST_UNPACKED: u64 = 4 << 30;
 
-    /// Whether `bytes` begin like a manifest.
+    /// Returns whether `bytes` begin like a manifest.
     pub fn is_one(bytes: &[u8]) -> bool {
         bytes.starts_with(MAGIC)
     }
 
-    /// The manifest as bytes; the same manifest gives the same bytes. Fails on what [`Manifest::decode`] would refuse.
+    /// Encodes the manifest. Equal manifests give equal bytes. Fails if [`Manifest::decode`] would refuse it.
     pub fn encode(&self) -> Result<Vec<u8>, ManifestError> {
         self.check()?;
         let mut out = Vec::from(MAGIC);
@@ -121,7 +120,7 @@ impl Manifest {
         Ok(out)
     }
 
-    /// The manifest of `bytes`, checked.
+    /// Decodes and checks a manifest.
     pub fn decode(bytes: &[u8]) -> Result<Self, ManifestError> {
         limit("bytes of a manifest", bytes.len() as u64, Self::MOST)?;
         let mut rest = bytes;
@@ -161,7 +160,7 @@ impl Manifest {
         limit("pieces of a scene", self.pieces.len() as u64, Self::MOST_PIECES.into())?;
         let unpacked = self.pieces.iter().fold(0u64, |sum, piece| sum.saturating_add(piece.unpacked));
         limit("unpacked bytes of a scene", unpacked, Self::MOST_UNPACKED)?;
-        // Files may share bytes, but not so that a small scene becomes a large one.
+        // Files may share bytes. The limit prevents that a small scene unpacks to a huge one.
         let bytes = self.files.values().fold(0u64, |sum, extent| sum.saturating_add(extent.bytes));
         limit("bytes of a scene's files", bytes, Self::MOST_UNPACKED)?;
         for (path, extent) in &self.files {
@@ -188,7 +187,7 @@ fn take<const N: usize>(rest: &mut &[u8]) -> Result<[u8; N], ManifestError> {
     Ok(*head)
 }
 
-/// Whether every system reads the path as the same file below the scene's folder.
+/// Returns whether every system reads the path as the same file below the scene's folder.
 fn is_normal(path: &str) -> bool {
     let parts = || path.split('/');
     path.len() <= Manifest::MOST_PATH
@@ -216,7 +215,7 @@ mod tests {
         }
     }
 
-    /// As [`Manifest::encode`] writes it, but of any paths in any order.
+    /// Encodes like [`Manifest::encode`], but accepts any paths in any order.
     fn raw(paths: &[&str]) -> Vec<u8> {
         let mut out = Manifest { files: BTreeMap::new(), ..sample() }.encode().unwrap();
         out.truncate(out.len() - 4);

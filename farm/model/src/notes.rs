@@ -1,4 +1,5 @@
-//! Notes on a job: a comment, labels, and an address that is told of its end. They decide no pixel and no order.
+//! Notes on a job: a comment, labels, and an address that is notified when the job ends. They affect neither pixels nor scheduling
+//! order.
 
 use std::collections::BTreeMap;
 
@@ -7,29 +8,29 @@ use serde::{Deserialize, Serialize};
 /// Notes that a job is submitted with.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobNotes {
-    /// A line for people; empty: none.
+    /// A line for users; empty: none.
     pub comment: String,
-    /// Names and values to find the job by, such as the values of a sweep's variant.
+    /// Names and values to find the job by, such as the values of one variant of a sweep.
     pub labels: BTreeMap<String, String>,
-    /// URL to which the coordinator posts a message when the job has ended; `None`: no message. Coordinators take only URLs that
-    /// they allow.
+    /// URL to which the coordinator posts a message when the job has ended; `None`: no message. Coordinators accept only allowed
+    /// URLs.
     pub notify: Option<String>,
 }
 
 impl JobNotes {
-    /// Most bytes of a comment.
+    /// Maximum length of a comment in bytes.
     pub const MAX_COMMENT: usize = 4096;
-    /// Most labels.
+    /// Maximum number of labels.
     pub const MAX_LABELS: usize = 64;
-    /// Most bytes of the name of a label, and of its value.
+    /// Maximum length in bytes of the name of a label, and of its value.
     pub const MAX_LABEL: usize = 256;
-    /// Most bytes of a URL.
+    /// Maximum length of a URL in bytes.
     pub const MAX_URL: usize = 2048;
 
-    /// Checks the limits, and that nothing steers a terminal.
+    /// Checks the limits, and that no text contains control characters.
     ///
     /// # Errors
-    /// Names the field and its fault.
+    /// The error names the field and its fault.
     pub fn check(&self) -> Result<(), NotesError> {
         let Self { comment, labels, notify } = self;
         if comment.len() > Self::MAX_COMMENT {
@@ -62,39 +63,39 @@ impl JobNotes {
     }
 }
 
-/// A fault of a job's notes.
+/// Error in a job's notes.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NotesError {
-    /// A text beyond its limit.
+    /// A text is longer than its limit.
     #[error("the {what} is too long: at most {limit} bytes")]
     TooLong {
-        /// The text.
+        /// Name of the text.
         what: &'static str,
-        /// Most bytes.
+        /// Limit in bytes.
         limit: usize,
     },
-    /// A text that steers terminals.
+    /// A text contains control characters, which could control a terminal.
     #[error("the {what} contains control characters, such as line ends: it is one line of text")]
     Control {
-        /// The text.
+        /// Name of the text.
         what: &'static str,
     },
-    /// Too many labels.
+    /// There are too many labels.
     #[error("{labels} labels, at most {}", JobNotes::MAX_LABELS)]
     Labels {
         /// Number of labels.
         labels: usize,
     },
-    /// A name that cannot be told from its value.
+    /// A label's name cannot be separated from its value.
     #[error("`{name}` cannot be the name of a label: it is not empty and contains no `=`")]
     LabelName {
-        /// The name.
+        /// Name of the label.
         name: String,
     },
 }
 
 impl NotesError {
-    /// Name of the field at fault.
+    /// Returns the name of the invalid field.
     pub fn field(&self) -> &'static str {
         match self {
             Self::TooLong { what: "comment", .. } | Self::Control { what: "comment" } => "comment",

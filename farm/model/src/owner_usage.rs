@@ -1,11 +1,11 @@
-//! Sums of what an owner's jobs used of the farm in a month.
+//! Monthly farm usage of an owner's jobs.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// A month of the calendar, in UTC.
+/// A calendar month in UTC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Month {
     year: u16,
@@ -13,30 +13,30 @@ pub struct Month {
 }
 
 impl Month {
-    /// The month `month` (1..=12) of the year `year` (1..=9999); `None` outside these ranges.
+    /// Makes the month `month` (1..=12) of the year `year` (1..=9999); `None` outside these ranges.
     pub fn new(year: u16, month: u8) -> Option<Self> {
         ((1..=9999).contains(&year) && (1..=12).contains(&month)).then_some(Self { year, month })
     }
 
-    /// The year, 1..=9999.
+    /// Returns the year, 1..=9999.
     pub fn year(self) -> u16 {
         self.year
     }
 
-    /// The month of the year, 1..=12.
+    /// Returns the month of the year, 1..=12.
     pub fn month(self) -> u8 {
         self.month
     }
 }
 
 impl fmt::Display for Month {
-    /// As ISO 8601 has it: `2026-11`.
+    /// Writes the ISO 8601 form: `2026-11`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:04}-{:02}", self.year, self.month)
     }
 }
 
-/// A text that names no month.
+/// Error for a text that is not a month.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` names no month; write YYYY-MM, like 2026-11")]
 pub struct NoMonth(pub String);
@@ -52,25 +52,25 @@ impl FromStr for Month {
     }
 }
 
-/// Sums over a month. Integers, so that they do not depend on the order in which they are added.
+/// Sums over a month. They are integers, so that they do not depend on the order of addition.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UsageSums {
-    /// Jobs submitted.
+    /// Number of jobs submitted.
     pub jobs: u64,
-    /// Frames finished.
+    /// Number of frames finished.
     pub frames: u64,
-    /// Tasks done.
+    /// Number of tasks done.
     pub tasks: u64,
-    /// Pixel samples in the results that count.
+    /// Number of pixel samples in the results that count.
     pub samples: u64,
-    /// Milliseconds of workers: the time in which leases of the owner's jobs held them, each moment of a worker counted once.
+    /// Worker time in milliseconds: the time in which workers held leases of the owner's jobs. Each moment of a worker counts once.
     pub worker_ms: u64,
-    /// Microseconds of processors in all attempts, as their workers measured them.
+    /// Processor time in microseconds of all attempts, as measured by their workers.
     pub processor_us: u64,
 }
 
 impl UsageSums {
-    /// The sums of both.
+    /// Returns the sum of both.
     pub fn plus(self, other: Self) -> Self {
         Self {
             jobs: self.jobs.saturating_add(other.jobs),
@@ -83,14 +83,14 @@ impl UsageSums {
     }
 }
 
-/// What an owner's jobs used of the farm in a month.
+/// Farm usage of an owner's jobs in a month.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OwnerUsage {
-    /// The month, UTC.
+    /// Month in UTC.
     pub month: Month,
     /// Name of the owner.
     pub owner: String,
-    /// Sums over the month until now.
+    /// Sums of the month so far.
     pub sums: UsageSums,
 }
 

@@ -1,65 +1,65 @@
-//! Why the coordinator says no.
+//! Reasons why the coordinator refuses a request.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Digest, JobId};
 
-/// A request that was understood and refused. Crosses the wire as an enum, not as text.
+/// Refusal of a well-formed request. It crosses the wire as an enum, not as text.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum Refusal {
-    /// No such job.
+    /// The job does not exist.
     #[error("there is no job {job}")]
     NoSuchJob {
-        /// Number that was asked for.
+        /// Number of the requested job.
         job: JobId,
     },
-    /// No such worker.
+    /// The worker does not exist.
     #[error("there is no worker {worker}")]
     NoSuchWorker {
-        /// Name that was asked for.
+        /// Name of the requested worker.
         worker: String,
     },
-    /// The job has ended, so that this cannot be done to it.
+    /// The job has ended, and the action needs a job that has not.
     #[error("job {job} has ended")]
     Ended {
         /// The job.
         job: JobId,
     },
-    /// A field's value makes no sense.
+    /// The value of a field is not valid.
     #[error("{field}: {message}")]
     Invalid {
         /// Name of the field.
         field: String,
-        /// What is wrong with it.
+        /// Fault of the value.
         message: String,
     },
     /// The message is about a lease that is over.
     #[error("the lease is over: another epoch holds the task, or it is finished")]
     StaleEpoch,
-    /// No such artifact.
+    /// The artifact does not exist.
     #[error("there is no artifact {digest}")]
     NoSuchArtifact {
         /// Digest of the artifact.
         digest: Digest,
     },
-    /// The bytes do not have the digest that was announced.
+    /// The bytes do not have the announced digest.
     #[error("the bytes are not those of {digest}")]
     DigestMismatch {
-        /// Digest that was announced.
+        /// Announced digest.
         digest: Digest,
     },
-    /// Beyond a limit.
+    /// A quantity exceeds its limit.
     #[error("{what}: at most {limit}")]
     TooLarge {
-        /// Quantity that is beyond its limit.
+        /// Quantity that exceeds its limit.
         what: String,
-        /// The most there may be.
+        /// Maximum permitted value.
         limit: u64,
     },
-    /// More than the store takes of one artifact, whoever sends it and whenever.
+    /// The artifact is larger than the store accepts, from any sender at any time.
     #[error("an artifact of more than {limit} bytes: the store takes no more")]
     ArtifactTooLarge {
-        /// Bytes.
+        /// Limit in bytes.
         limit: u64,
     },
     /// The job needs artifacts that are not in the store.
@@ -68,48 +68,48 @@ pub enum Refusal {
         digests.first().map_or_else(String::new, ToString::to_string)
     )]
     MissingArtifacts {
-        /// Some of them: at most [`Refusal::MOST_NAMED`].
+        /// Digests of some missing artifacts: at most [`Refusal::MOST_NAMED`].
         digests: Vec<Digest>,
         /// Number of missing artifacts.
         count: u64,
     },
-    /// The upload is elsewhere than its sender believes.
+    /// The upload continues at another offset than the sender expects.
     #[error("the upload goes on at byte {offset}")]
     Resume {
-        /// The next byte that is wanted.
+        /// Next byte that the store expects.
         offset: u64,
     },
-    /// Who asks may not do this.
+    /// The caller lacks the permission.
     #[error("{who} may not do this: it takes {takes}")]
     Forbidden {
-        /// Holder of the credential that was shown.
+        /// Holder of the credential in the request.
         who: String,
-        /// Holders that may, such as `an admin`.
+        /// Holders who have the permission, such as `an admin`.
         takes: String,
     },
-    /// The coordinator is stopping, or its log or store does not answer: ask again later.
+    /// The coordinator is stopping, or its log or store does not respond. Retry later.
     #[error("not now: {message}")]
     Unavailable {
-        /// Reason for which the coordinator cannot answer now.
+        /// Reason why the coordinator cannot answer now.
         message: String,
     },
-    /// A disk of the farm is full, or nearly.
+    /// A disk of the farm is full or nearly full.
     #[error("the farm takes no new jobs: it has {} MiB left for {place}; make room there (`femc gc`), and submit again", free >> 20)]
     NoRoom {
-        /// What lies there, and where.
+        /// Data on the disk, and its path.
         place: String,
-        /// Bytes that are free.
+        /// Free bytes.
         free: u64,
     },
-    /// Who asks has not shown who it is.
+    /// The caller is not authenticated.
     #[error("you are not known here: {message}")]
     Unauthenticated {
-        /// What was wrong with what it showed.
+        /// Fault of the credential.
         message: String,
     },
 }
 
 impl Refusal {
-    /// Most artifacts that a refusal names: it travels in a header.
+    /// Maximum number of artifacts that a refusal names. The limit exists because a refusal is sent in a header.
     pub const MOST_NAMED: usize = 64;
 }

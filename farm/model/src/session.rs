@@ -1,4 +1,4 @@
-//! The words of a worker's session with the coordinator.
+//! Messages of a worker's session with the coordinator.
 
 use std::ops::Range;
 
@@ -8,60 +8,61 @@ use crate::{
     Assignment, Digest, Epoch, Failure, Intake, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, Usage, WorkerId,
 };
 
-/// How a worker introduces itself.
+/// Registration of a worker.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Registration {
-    /// Name for people, such as the machine's.
+    /// Name for display, such as the machine's name.
     pub name: String,
-    /// Random, the same for the life of the worker's process: a second session replaces the first.
+    /// Random number, constant for the life of the worker's process. A second session with the same number replaces the first.
     pub instance: u64,
-    /// Build of the engine; the frames of a job are rendered by one build only.
+    /// Build of the engine. One build renders all frames of a job.
     pub engine: String,
-    /// Threads that render.
+    /// Number of render threads.
     pub threads: u32,
-    /// Tasks that run side by side. At least one more is leased, and more of short tasks, so that the next is there when one is done.
+    /// Number of tasks that run in parallel. The coordinator leases at least one more task, and several more if tasks are short, so
+    /// that the next task is there when one is done.
     pub slots: u32,
     /// Tags that the worker offers.
     pub tags: Vec<String>,
-    /// Leases of an earlier session that it still works on, or whose results it still has.
+    /// Leases of an earlier session that the worker still works on, or whose results it still has.
     pub held: Vec<HeldLease>,
-    /// How an earlier process of this worker ended, if it died; told once.
+    /// Death of an earlier process of this worker, if it died. It is reported once.
     pub died: Option<Death>,
 }
 
-/// A worker's process died while it computed.
+/// Report that a worker's process died while it computed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Death {
-    /// [`Registration::instance`] of that process.
+    /// [`Registration::instance`] of the process that died.
     pub instance: u64,
-    /// What it computed, by the worker's own journal.
+    /// Leases that the process computed, from the worker's journal.
     pub computing: Vec<HeldLease>,
 }
 
 impl Death {
-    /// Most tasks that a process computes at a time.
+    /// Maximum number of tasks that a process computes at a time.
     pub const MOST: usize = 64;
 }
 
-/// A lease that a worker brings along from an earlier session.
+/// Lease that a worker holds from an earlier session.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldLease {
     /// The task.
     pub task: TaskKey,
     /// Epoch of the lease.
     pub epoch: Epoch,
-    /// The steps that it covers: [`Work::steps`](crate::Work::steps).
+    /// Steps that the lease covers: [`Work::steps`](crate::Work::steps).
     pub steps: Range<u32>,
-    /// [`JobSpec::key`] of the job, so that the task of another farm's job of the same number is not taken for this one.
+    /// [`JobSpec::key`] of the job. It prevents confusion with a job of the same number from another farm.
     pub job: Digest,
 }
 
-/// What the worker is doing for a task; ascending in the order of execution.
+/// Phase of a task on its worker, in the order of execution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Phase {
-    /// Fetched ahead, not begun.
+    /// Fetched ahead, not started.
     Waiting,
-    /// Fetching inputs, reading and preparing the scene.
+    /// Fetching inputs, and reading and preparing the scene.
     Preparing,
     /// Computing the result.
     Working,
@@ -69,7 +70,7 @@ pub enum Phase {
     Uploading,
 }
 
-/// How far a task is.
+/// Progress of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskProgress {
     /// The task.
@@ -78,44 +79,44 @@ pub struct TaskProgress {
     pub epoch: Epoch,
     /// Phase of the attempt.
     pub phase: Phase,
-    /// Units of work done, such as pixel samples; of a task that joins, inputs that are in. Only grows.
+    /// Units of work done, such as pixel samples. For a task that joins, the number of inputs read. Never decreases.
     pub units: u64,
 }
 
-/// A lease that holds, and for how long.
+/// A valid lease and its remaining time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeaseLeft {
     /// The task.
     pub task: TaskKey,
     /// Epoch of the lease.
     pub epoch: Epoch,
-    /// Milliseconds until it ends, unless it is renewed.
+    /// Milliseconds until the lease expires, unless it is renewed.
     pub left: u64,
 }
 
-/// What went into a lease.
+/// Resources that a lease used.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TaskUsage {
     /// The task.
     pub task: TaskKey,
     /// Epoch of the lease.
     pub epoch: Epoch,
-    /// Usage of the lease.
+    /// Resources used.
     pub usage: Usage,
 }
 
-/// From a worker to the coordinator.
+/// Message from a worker to the coordinator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum FromWorker {
     /// The first message of a session.
     Register(Registration),
-    /// I am here, and so far are my tasks.
+    /// Signals that the worker is alive, and reports the progress of its tasks.
     Heartbeat {
-        /// Of this session, from 1; the answer names it.
+        /// Number of the heartbeat in this session, from 1. The answer repeats it.
         number: u64,
-        /// The tasks whose leases hold, as far as the worker knows.
+        /// Tasks whose leases are valid, as far as the worker knows.
         tasks: Vec<TaskProgress>,
-        /// What went into leases that were taken back since the heartbeat before.
+        /// Resources used by leases that were revoked since the previous heartbeat.
         usage: Vec<TaskUsage>,
     },
     /// The result is in the store.
@@ -128,10 +129,10 @@ pub enum FromWorker {
         result: TaskResult,
         /// Log of the attempt.
         log: Option<TaskLog>,
-        /// Usage of the lease.
+        /// Resources used.
         usage: Option<Usage>,
     },
-    /// The task is not done.
+    /// The task failed.
     Failed {
         /// The task.
         task: TaskKey,
@@ -141,57 +142,57 @@ pub enum FromWorker {
         failure: Failure,
         /// Log of the attempt.
         log: Option<TaskLog>,
-        /// Usage of the lease.
+        /// Resources used.
         usage: Option<Usage>,
     },
-    /// Give me no more tasks: I am leaving, or off duty.
+    /// The worker wants no more tasks: it is leaving or off duty.
     Draining,
-    /// I take tasks again.
+    /// The worker accepts tasks again.
     Available,
 }
 
-/// Why a lease is taken back.
+/// Reason why a lease is revoked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RevokeReason {
     /// The job was cancelled or has failed.
     JobEnded,
-    /// The lease ran out.
+    /// The lease expired.
     Expired,
-    /// Another worker has done the task.
+    /// Another worker finished the task.
     Done,
 }
 
-/// From the coordinator to a worker.
+/// Message from the coordinator to a worker.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ToWorker {
-    /// Registered.
+    /// The worker is registered.
     Welcome {
-        /// Name of this session.
+        /// Number of the worker.
         worker: WorkerId,
         /// Milliseconds between heartbeats.
         heartbeat: u64,
-        /// Milliseconds for which a lease holds after a heartbeat.
+        /// Milliseconds for which a lease is valid after a heartbeat.
         lease: u64,
     },
-    /// The answer to a heartbeat. An assignment that comes after it was made after the heartbeat was sent.
+    /// Answer to a heartbeat. An assignment that arrives after it was made after the heartbeat was sent.
     Renewed {
-        /// The heartbeat's number.
+        /// Number of the heartbeat.
         heartbeat: u64,
-        /// All leases of this session, with the time left when this was said.
+        /// All leases of this session, with their remaining time when the answer was sent.
         leases: Vec<LeaseLeft>,
-        /// Intake that the coordinator grants: a worker that is drained gives back what it has not begun.
+        /// Intake that the coordinator grants. A drained worker gives back the tasks that it has not started.
         intake: Intake,
     },
-    /// What a job is; comes before the first assignment of it.
+    /// Specification of a job. It is sent before the first assignment of the job.
     Job {
         /// The job.
         job: JobId,
         /// Specification of the job, as submitted.
         spec: Box<JobSpec>,
     },
-    /// Do this.
+    /// Assigns a task.
     Assign(Assignment),
-    /// Stop this; no answer is expected.
+    /// Stops a task. No answer is expected.
     Revoke {
         /// The task.
         task: TaskKey,
@@ -216,6 +217,6 @@ pub enum ToWorker {
         /// Reason for the refusal.
         refusal: Refusal,
     },
-    /// The coordinator stops; come again later.
+    /// The coordinator stops. The worker reconnects later.
     Goodbye,
 }

@@ -1,21 +1,21 @@
-//! Fields that later versions of the farm's log have and earlier ones have not.
+//! Compatibility with earlier versions of the farm's log: fields that later versions added.
 //!
 //! The log is postcard, which stores fields by position. A field that version N added is marked with
-//! `#[serde(deserialize_with = "since_version_N")]`: while content of an earlier version is read ([`reading_version`]), the field
-//! takes no bytes and has its default. The price is a variable of the thread; the alternative is a second set of all structs.
+//! `#[serde(deserialize_with = "since_version_N")]`. While content of an earlier version is read ([`reading_version`]), the field
+//! takes no bytes and has its default value. The price is a thread-local variable; the alternative is a second set of all structs.
 
 use std::cell::Cell;
 
 use serde::{Deserialize, Deserializer};
 
 thread_local! {
-    /// Version of the log that is read on this thread.
+    /// Version of the log that this thread reads.
     static READING: Cell<u8> = const { Cell::new(u8::MAX) };
 }
 
-/// Result of `read`, to which fields that are newer than `version` are absent.
+/// Runs `read` with all fields that are newer than `version` absent, and returns its result.
 pub fn reading_version<T>(version: u8, read: impl FnOnce() -> T) -> T {
-    /// Restores the version, also when `read` panics.
+    /// Restores the version on drop, also when `read` panics.
     struct Restore(u8);
     impl Drop for Restore {
         fn drop(&mut self) {
@@ -26,7 +26,7 @@ pub fn reading_version<T>(version: u8, read: impl FnOnce() -> T) -> T {
     read()
 }
 
-/// A field that version 9 of the log added.
+/// Reads a field that version 9 of the log added.
 ///
 /// # Errors
 /// The field is damaged.
@@ -34,7 +34,7 @@ pub fn since_version_9<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>>
     since(9, from)
 }
 
-/// A field that version 10 of the log added.
+/// Reads a field that version 10 of the log added.
 ///
 /// # Errors
 /// The field is damaged.
@@ -42,7 +42,7 @@ pub fn since_version_10<'de, T: Deserialize<'de> + Default, D: Deserializer<'de>
     since(10, from)
 }
 
-/// A field that version 11 of the log added.
+/// Reads a field that version 11 of the log added.
 ///
 /// # Errors
 /// The field is damaged.

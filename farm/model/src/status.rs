@@ -1,4 +1,4 @@
-//! What may be asked about jobs and workers.
+//! Status of jobs and workers.
 
 use std::fmt;
 
@@ -6,98 +6,98 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Blocks, Failure, JobId, JobNotes, JobState, StageKind, TaskKey, WorkerId};
 
-/// A job at a glance.
+/// Summary of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JobStatus {
     /// The job.
     pub job: JobId,
-    /// Its name.
+    /// Name.
     pub name: String,
     /// Name of the owner who submitted the job.
     pub owner: String,
     /// Path of the scene file within its bundle.
     pub scene: String,
-    /// Notes that it was submitted with.
+    /// Notes submitted with the job.
     pub notes: JobNotes,
-    /// 0..=100.
+    /// Priority, 0..=100.
     pub priority: u8,
     /// State of the job.
     pub state: JobState,
-    /// Why the job as a whole has failed, if it did.
+    /// Failure of the job as a whole, if it failed.
     pub failure: Option<Failure>,
-    /// Frames asked for.
+    /// Number of requested frames.
     pub frames_total: u32,
-    /// Frames finished.
+    /// Number of finished frames.
     pub frames_done: u32,
-    /// Frames that cannot be finished without a retry.
+    /// Number of frames that cannot be finished without a retry.
     pub frames_failed: u32,
-    /// Frames in work, ascending.
+    /// Frames in progress, ascending.
     pub active: Vec<FrameProgress>,
-    /// Workers that hold a lease of it.
+    /// Number of workers that hold a lease of the job.
     pub workers: u32,
     /// Pixel samples in results and in running tasks.
     pub samples_done: u64,
-    /// Pixel samples if every frame uses every round: an upper bound.
+    /// Pixel samples if every frame uses every round. This is an upper bound.
     pub samples_planned: u64,
-    /// Pixel samples a second of late; 0 until it is known.
+    /// Recent pixel samples per second; 0 until it is known.
     pub samples_per_second: f64,
-    /// Samples refused because they were not finite.
+    /// Number of samples refused because they were not finite.
     pub bad_samples: u64,
-    /// Relative error of the worst frame so far, finished or in work; `None` also where no sample has met light.
+    /// Relative error of the worst frame so far, finished or in progress. `None` also if no sample found light.
     pub relative_error: Option<f64>,
-    /// Blocks of that frame.
+    /// Blocks of the worst frame.
     pub blocks: Option<Blocks>,
-    /// Which frame it is; `None`: no frame was measured.
+    /// The worst frame; `None`: no frame was measured.
     pub worst_frame: Option<WorstFrame>,
-    /// Relative error that each frame is to reach; `None`: the job stops by samples or by time. The scheduler does not read settings:
-    /// the coordinator fills this in.
+    /// Target relative error of each frame; `None`: samples or time end the job. The coordinator fills this in, because the
+    /// scheduler does not read settings.
     pub error_target: Option<f64>,
-    /// Seconds since the first lease, or from the first lease to the end.
+    /// Seconds since the first lease. For an ended job, seconds from the first lease to the end.
     pub seconds: f64,
-    /// Tasks out of attempts.
+    /// Tasks that used up their attempts.
     pub quarantined: Vec<Quarantined>,
-    /// Messages refused because their lease was over.
+    /// Number of messages refused because their lease was over.
     pub stale_messages: u64,
-    /// Late tasks that were given to a second worker, since the coordinator's start.
+    /// Number of slow tasks that were also given to a second worker, since the coordinator started.
     pub copies: u64,
-    /// Reasons for which tasks of the job wait.
+    /// Reasons why tasks of the job wait.
     pub waits: Vec<Wait>,
-    /// When it was submitted: Unix time in milliseconds, by the farm's clock, which stands still while no coordinator is there: what
-    /// was submitted before an outage counts as submitted so much later. `None`: nobody knows what the date was.
+    /// Time of submission: Unix time in milliseconds, by the farm's clock. This clock stands still while no coordinator runs, so
+    /// the time of a job submitted before an outage is shifted by the length of the outage. `None`: the date is not known.
     pub submitted: Option<u64>,
-    /// Calendar date of its submission: Unix time in milliseconds, by the coordinator's machine. `None`: not known, as of jobs in
-    /// logs before version 10.
+    /// Calendar date of submission: Unix time in milliseconds, by the clock of the coordinator's machine. `None`: not known, as for
+    /// jobs in logs before version 10.
     pub submitted_date: Option<u64>,
 }
 
-/// The frame with the greatest relative error of a job.
+/// The frame of a job with the greatest relative error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorstFrame {
     /// Frame number.
     pub frame: u32,
-    /// Whether and why it takes no more samples.
+    /// Whether, and why, the frame takes no more samples.
     pub stop: FrameStop,
 }
 
-/// Whether a measured frame takes more samples, and why not. It explains an error above the target.
+/// Whether a measured frame takes more samples, and why not. This explains an error above the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FrameStop {
-    /// It is in work: its error is that of the round before.
+    /// The frame is in progress. Its error is that of the previous round.
     Rendering,
-    /// Its last round was the last one that is planned: the limit of samples.
+    /// The frame ended with the last planned round: the limit of samples.
     Limit,
-    /// It stopped before. Each half of a tile's samples is ended by an estimate from the other half, so the error of all samples may
-    /// be a little above the target.
+    /// The frame stopped before the last planned round. An estimate from one half of a tile's samples ends the other half, so the
+    /// error of all samples may be slightly above the target.
     Estimate,
-    /// It is done, and its number of rounds is not known.
+    /// The frame is done, and its number of rounds is not known.
     Unknown,
 }
 
 impl FrameStop {
-    /// All.
+    /// All variants.
     pub const ALL: [Self; 4] = [Self::Rendering, Self::Limit, Self::Estimate, Self::Unknown];
 
-    /// Name, one or two words in snake case.
+    /// Returns the name, one or two words in snake case.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Rendering => "rendering",
@@ -108,28 +108,28 @@ impl FrameStop {
     }
 }
 
-/// How far a frame in work is.
+/// Progress of an unfinished frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FrameProgress {
     /// Frame number.
     pub frame: u32,
-    /// Round, from 0.
+    /// Current round, from 0.
     pub round: u32,
-    /// Rounds planned at most.
+    /// Maximum number of planned rounds.
     pub rounds: u32,
-    /// Kind of the stage in work.
+    /// Kind of the stage in progress.
     pub stage: StageKind,
-    /// Tiles, or other tasks of its main stage, of which all steps of this round are done.
+    /// Number of tiles, or other tasks of the main stage, whose steps in this round are all done.
     pub tiles_done: u32,
-    /// How many there are in the round.
+    /// Number of these tasks in the round.
     pub tiles_total: u32,
-    /// Tasks of it that are leased.
+    /// Number of leased tasks of the frame.
     pub running: u32,
-    /// Pixel samples in all rounds, results and running tasks.
+    /// Pixel samples in all rounds, in results and in running tasks.
     pub samples_done: u64,
-    /// Relative error after the round before.
+    /// Relative error after the previous round.
     pub relative_error: Option<f64>,
-    /// Blocks as they were measured then.
+    /// Blocks as measured after the previous round.
     pub blocks: Option<Blocks>,
 }
 
@@ -138,125 +138,125 @@ pub struct FrameProgress {
 pub struct Quarantined {
     /// The task.
     pub task: TaskKey,
-    /// How often it was tried.
+    /// Number of attempts.
     pub attempts: u32,
-    /// Why the last attempt failed.
+    /// Failure of the last attempt.
     pub failure: Failure,
 }
 
-/// Why tasks of a job wait; computed by the scheduler's own predicates.
+/// Reason why tasks of a job wait. It is computed with the scheduler's own predicates.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Wait {
-    /// The job is held.
+    /// The job is paused.
     Paused,
-    /// No worker is there.
+    /// No worker is connected.
     NoWorkers,
     /// No worker has all these tags.
     NoWorkerWithTags(Vec<String>),
-    /// Every worker that may take it has all that it can hold.
+    /// Every suitable worker holds the maximum number of tasks.
     WorkersBusy {
         /// Number of such workers.
         workers: u32,
     },
-    /// Every worker that may take it takes no more tasks: it is drained, leaving or off duty.
+    /// Every suitable worker takes no more tasks: it is drained, leaving or off duty.
     WorkersDraining {
         /// Number of such workers.
         workers: u32,
     },
-    /// Every worker that may take it rests after a failure of its surroundings.
+    /// Every suitable worker is in a back-off after a failure of its surroundings (store, network, disk, memory).
     WorkersResting,
-    /// Workers that may take it have not been heard of for as long as a lease lasts: stopped, cut off or overloaded.
+    /// Suitable workers have been silent for the duration of a lease: stopped, disconnected or overloaded.
     WorkersSilent {
         /// Number of such workers.
         workers: u32,
-        /// How long the one has been silent that has been so the longest.
+        /// Seconds of silence of the worker that has been silent the longest.
         seconds: u64,
     },
-    /// Workers that may take it rest, each after a failure of its surroundings.
+    /// Suitable workers are in a back-off, each after a failure of its surroundings.
     WorkersInTrouble {
         /// Number of such workers.
         workers: u32,
-        /// Until the first of them gets a task again.
+        /// Seconds until the first of them gets a task again.
         seconds: u64,
-        /// What happened to that one.
+        /// Failure of that worker.
         failure: Failure,
     },
-    /// Tasks of the job kept failing on some workers: they get none of it for a while.
+    /// Tasks of the job kept failing on some workers. These workers get no tasks of the job for a while.
     WorkersQuarantined {
         /// Number of such workers.
         workers: u32,
-        /// Until the first of them gets a task as a probe; 0: it has it.
+        /// Seconds until the first of them gets a task as a probe; 0: it has the task.
         seconds: u64,
     },
-    /// Tasks that failed last on the workers with room wait for others.
+    /// Tasks wait for another worker, because their last attempts failed on the workers with free capacity.
     WorkersAvoided {
         /// Number of such tasks.
         tasks: u32,
     },
-    /// Frames that were begun by workers of another build of the engine than all with room: they wait for one of theirs, or begin
-    /// anew when none has been there for a while.
+    /// Frames wait because all workers with free capacity have another build of the engine than the workers that started the
+    /// frames. A frame restarts if no worker of its build has been connected for a while.
     OtherBuild {
         /// Number of such frames.
         frames: u32,
     },
-    /// The coordinator has just begun, or slept: first it hears which workers still have tasks.
+    /// The coordinator has just started or was suspended. It first waits for workers to report the tasks they still have.
     Regrouping {
-        /// Milliseconds until tasks are given out.
+        /// Milliseconds until tasks are dispatched.
         milliseconds: u64,
     },
-    /// Jobs with more priority, or older, have tasks ready.
+    /// A job with a higher priority, or an older one, has ready tasks.
     BehindJob(JobId),
-    /// Nothing of a frame can be given out: its next stage waits for tasks that workers are doing.
+    /// No task of a frame is ready: the next stage waits for tasks that are running.
     StageWaits {
-        /// Frame number; [`Stage::OF_JOB`](crate::Stage::OF_JOB): of the job's own stages.
+        /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB) for the job's own stages.
         frame: u32,
         /// Kind of the stage that waits.
         stage: StageKind,
         /// Kind of the stage that it waits for.
         needs: StageKind,
-        /// How many of these tasks are not done.
+        /// Number of these tasks that are not done.
         tasks: u32,
     },
-    /// Frames wait for what is done once for all frames, and all jobs, that have one content.
+    /// Frames wait for a shared stage, which runs once for all frames and jobs with the same content.
     SharedStage {
-        /// What is being done for it, in its own number.
+        /// Id of the shared result.
         shared: JobId,
-        /// Kind of the shared stage that is in work.
+        /// Kind of the shared stage in progress.
         stage: StageKind,
-        /// Tasks of this stage that are done.
+        /// Number of tasks of this stage that are done.
         done: u32,
-        /// Tasks of this stage.
+        /// Number of tasks of this stage.
         tasks: u32,
-        /// How many jobs wait for it.
+        /// Number of jobs that wait for it.
         jobs: u32,
     },
-    /// Tasks that are not done were tried, and what is around them failed: the store, the network, a worker's memory.
+    /// Attempts at unfinished tasks failed because of their surroundings: the store, the network, or a worker's memory.
     Mishaps {
         /// Number of such tasks.
         tasks: u32,
-        /// What went wrong with one of them last.
+        /// Last error of one of these tasks.
         message: String,
     },
-    /// A finished output was damaged in the store or is gone. Of a frame, its image or its preview: the frame is rendered again. Of
-    /// the job, a still, the sheet or the clip: the job's own stages run again.
+    /// A finished output was damaged in the store or is missing. If it belongs to a frame (its image or its preview), the frame is
+    /// rendered again. If it belongs to the job (a still, the contact sheet or the clip), the job's own stages run again.
     ImageLost {
         /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB).
         frame: u32,
     },
-    /// Frames need what is done once for all that have one content, and tasks of that used up their attempts.
+    /// Frames need a shared result whose tasks used up their attempts.
     SharedQuarantined {
-        /// What cannot be done, in its own number.
+        /// Id of the shared result that cannot be computed.
         shared: JobId,
-        /// How many frames of the job.
+        /// Number of frames of the job that need it.
         frames: u32,
-        /// How many of its tasks.
+        /// Number of its tasks that used up their attempts.
         tasks: u32,
     },
-    /// Tasks used up their attempts, and their frame cannot go on; or the job's own stages wait for frames that failed.
+    /// Tasks used up their attempts, so their frame cannot be finished. Or the job's own stages wait for frames that failed.
     Quarantined {
         /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB).
         frame: u32,
-        /// How many of its tasks; 0: the job's own stages wait for frames that failed.
+        /// Number of the frame's tasks; 0: the job's own stages wait for frames that failed.
         tasks: u32,
     },
 }
@@ -264,30 +264,30 @@ pub enum Wait {
 /// Whether a worker gets more tasks.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Intake {
-    /// Yes.
+    /// The worker gets tasks.
     #[default]
     Open,
-    /// It wants none: it is leaving, or off duty.
+    /// The worker wants no tasks: it is leaving or off duty.
     Off,
-    /// An operator has drained it.
+    /// An operator has drained the worker.
     Drained,
 }
 
-/// What an operator does to a worker's intake.
+/// Action of an operator on a worker's intake.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Drain {
-    /// It gets no more tasks; what it has it finishes.
+    /// Drain: the worker gets no more tasks, and finishes those it has.
     Begin,
-    /// It gets tasks again.
+    /// End the drain: the worker gets tasks again.
     Undo,
 }
 
-/// A worker as people name it.
+/// Selection of workers by a user.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum WorkerName {
-    /// One session.
+    /// The worker with this number.
     Number(WorkerId),
-    /// Every worker of this name.
+    /// Every worker with this name.
     Name(String),
 }
 
@@ -300,51 +300,51 @@ impl fmt::Display for WorkerName {
     }
 }
 
-/// The workers of a farm.
+/// Workers of a farm.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Crew {
-    /// Those that are there, in order of joining.
+    /// Connected workers, in the order in which they joined.
     pub there: Vec<WorkerStatus>,
-    /// Those that were there, the latest first.
+    /// Disconnected workers, latest first.
     pub offline: Vec<OfflineWorker>,
 }
 
-/// A worker that was there. Of several of one name it is the one that was heard of last.
+/// A disconnected worker. Of several with one name, the one with the latest contact.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OfflineWorker {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// Threads that rendered.
+    /// Number of render threads.
     pub threads: u32,
     /// Tags that the worker offered.
     pub tags: Vec<String>,
-    /// Its build of the engine.
+    /// Build of the engine.
     pub engine: String,
-    /// Its last contact, Unix milliseconds.
+    /// Last contact, Unix time in milliseconds.
     pub heard: u64,
 }
 
-/// A worker at a glance.
+/// Summary of a worker.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorkerStatus {
-    /// Its number. It stays the same over sessions, as long as its name is known.
+    /// Number of the worker. It is kept across sessions while its name is known.
     pub worker: WorkerId,
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// Threads that render.
+    /// Number of render threads.
     pub threads: u32,
     /// Tags that the worker offers.
     pub tags: Vec<String>,
-    /// Tasks it holds, in order of key.
+    /// Tasks that the worker holds, in order of key.
     pub tasks: Vec<TaskKey>,
-    /// Milliseconds since its last message.
+    /// Milliseconds since the worker's last message.
     pub silent: u64,
-    /// Results accepted from it since its name is known, also before the coordinator's last start.
+    /// Number of results accepted from the worker since its name became known, including before the coordinator's last start.
     pub completed: u64,
-    /// Tasks that failed there in the same time.
+    /// Number of tasks that failed on the worker in the same period.
     pub failed: u64,
-    /// Whether it gets more tasks.
+    /// Whether the worker gets more tasks.
     pub intake: Intake,
-    /// Its build of the engine; empty: an earlier coordinator does not tell.
+    /// Build of the engine; empty: an earlier coordinator does not report it.
     pub engine: String,
 }

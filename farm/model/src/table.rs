@@ -1,4 +1,4 @@
-//! A job task by task and frame by frame, for those who look closely.
+//! Detailed tables of a job: its tasks and its frames.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,23 +7,23 @@ use crate::{Failure, FrameProgress, FrameRecord, TaskKey, Times};
 /// State of a task or a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum TaskState {
-    /// No worker has it.
+    /// No worker has a lease of it.
     Waiting,
-    /// A worker has it in its queue and has not begun it; no frame is in this state.
+    /// A worker has it in its queue and has not started it. Frames are never in this state.
     Queued,
-    /// A worker does it, or some of it; of a frame, something of it is done.
+    /// A worker runs it or a part of it. For a frame: some of its tasks are done.
     Running,
     /// It is done.
     Done,
-    /// It used up its attempts; of a frame, it cannot be finished without a retry.
+    /// It used up its attempts. For a frame: it cannot be finished without a retry.
     Failed,
 }
 
 impl TaskState {
-    /// All, in the order in which they are come to.
+    /// All states, in the order in which they are reached.
     pub const ALL: [Self; 5] = [Self::Waiting, Self::Queued, Self::Running, Self::Done, Self::Failed];
 
-    /// Name, one word.
+    /// Name in one word.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
@@ -35,60 +35,60 @@ impl TaskState {
     }
 }
 
-/// A task, before it is cut: the index of its key is its number in the stage.
+/// Status of a task as a whole, not of its chunks: the index of its key is the number of the task in the stage.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TaskStatus {
     /// The task.
     pub task: TaskKey,
-    /// State of it.
+    /// State of the task.
     pub state: TaskState,
-    /// Whether it stands for the tasks of this number in all rounds: each task of a finished frame is listed once.
+    /// Whether the entry stands for the tasks with this number in all rounds. Each task of a finished frame is listed once.
     pub is_of_all_rounds: bool,
-    /// Names of the workers that have it, or parts of it: those that run it, or where it is queued. Once its attempts are looked up
+    /// Names of the workers that run the task or parts of it, or have it in their queue. After the attempts are looked up
     /// ([`TaskStatus::times`]), a task that is done or failed has the workers of these attempts, first the one with the result.
     pub workers: Vec<String>,
-    /// Attempts that failed since it was last done or retried, and those that run or are queued. Once its attempts are looked up, a
-    /// task that is done has all that ended.
+    /// Number of attempts: those that failed since the task was last done or retried, and those that run or are queued. After the
+    /// attempts are looked up, a task that is done has the number of all ended attempts.
     pub attempts: u32,
-    /// Seconds since the first of its leases was granted, while it runs or is queued.
+    /// Seconds since the first lease of the task was granted, while it runs or is queued.
     pub seconds: Option<f64>,
-    /// Why the last attempt failed.
+    /// Failure of the last attempt.
     pub failure: Option<Failure>,
-    /// Time of its attempts that have ended; `None`: not looked up, or none has ended.
+    /// Time of its ended attempts. `None`: not looked up, or no attempt has ended.
     pub times: Option<Times>,
 }
 
-/// A frame, or the job's own stages under [`Stage::OF_JOB`](crate::Stage::OF_JOB).
+/// Status of a frame, or of the job's own stages under [`Stage::OF_JOB`](crate::Stage::OF_JOB).
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameStatus {
     /// Frame number.
     pub frame: u32,
-    /// State of it.
+    /// State of the frame.
     pub state: TaskState,
-    /// How far it is, while it is in work.
+    /// Progress, while the frame is in progress.
     pub progress: Option<FrameProgress>,
-    /// What there is of it, once it is done.
+    /// Results, once the frame is done.
     pub record: Option<FrameRecord>,
-    /// Time of its attempts that have ended; `None`: not looked up, or none has ended.
+    /// Time of its ended attempts. `None`: not looked up, or no attempt has ended.
     pub times: Option<Times>,
 }
 
-/// Which tasks of a job.
+/// Filter for the tasks of a job.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct TaskFilter {
-    /// Of this frame.
+    /// Only tasks of this frame.
     pub frame: Option<u32>,
-    /// Of the stage of this number.
+    /// Only tasks of the stage with this number.
     pub stage: Option<u16>,
-    /// In this state.
+    /// Only tasks in this state.
     pub state: Option<TaskState>,
 }
 
-/// Some of a job's tasks.
+/// A page of a job's tasks.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TaskPage {
-    /// How many the filter lets through.
+    /// Number of tasks that pass the filter.
     pub total: u64,
-    /// A window of these, by frame, stage, round and number.
+    /// A window of these tasks, ordered by frame, stage, round and number.
     pub tasks: Vec<TaskStatus>,
 }

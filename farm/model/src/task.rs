@@ -1,4 +1,4 @@
-//! The units of work and what a worker is told about one.
+//! Units of work, and assignments of them to workers.
 
 use std::fmt;
 use std::ops::Range;
@@ -8,38 +8,38 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Artifact, Epoch, JobId, Role, StageKind, Taken};
 
-/// An array of tasks that may run side by side: one round of a template of the job's [`Graph`](crate::Graph), of one frame or of
-/// the job.
+/// Array of tasks that may run in parallel: one round of a template of the job's [`Graph`](crate::Graph), for one frame or for the
+/// job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Stage {
-    /// Frame number; of a stage of the job [`Stage::OF_JOB`].
+    /// Frame number, or [`Stage::OF_JOB`] for a stage of the job.
     pub frame: u32,
     /// Round of its loop, from 0.
     pub round: u32,
-    /// Number of the template.
+    /// Number of the template in the graph.
     pub number: u16,
-    /// What its tasks do: the template's kind.
+    /// Kind of the template.
     pub kind: StageKind,
 }
 
 impl Stage {
-    /// The frame number of what is done once for the whole job: no frame has it.
+    /// Frame number of stages that run once for the whole job. No frame has this number.
     pub const OF_JOB: u32 = 0;
 }
 
-/// A task's identity; there is no other.
+/// Identity of a task. There is no other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct TaskKey {
     /// The job.
     pub job: JobId,
     /// The stage of the job.
     pub stage: Stage,
-    /// Number within the stage: the first of the lease's [`Grains`](crate::Grains).
+    /// Number in the stage: the first of the lease's [`Grains`](crate::Grains).
     pub index: u32,
 }
 
-/// The task's name: job, frame and round, kind and number of the stage, number in the stage, like `7/12.0/render.0/3`. No two tasks
-/// have the same.
+/// Writes the task's name: job, frame and round, kind and number of the stage, number in the stage, like `7/12.0/render.0/3`. No
+/// two tasks have the same name.
 impl fmt::Display for TaskKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Stage { frame, round, number, kind } = self.stage;
@@ -47,14 +47,14 @@ impl fmt::Display for TaskKey {
     }
 }
 
-/// A text that is no name of a task.
+/// Error for a text that is not the name of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "a task is named by job, frame and round, kind and number of its stage, and its number there, like 7/12.0/render.0/3"
 )]
 pub struct NoTaskKey;
 
-/// As it is printed.
+/// Parses the printed form.
 impl FromStr for TaskKey {
     type Err = NoTaskKey;
 
@@ -76,57 +76,58 @@ impl FromStr for TaskKey {
     }
 }
 
-/// One lease of one task, as the worker gets it.
+/// One lease of one task, as sent to the worker.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Assignment {
     /// The task.
     pub task: TaskKey,
-    /// The fence: every message about this lease carries it.
+    /// Fencing token. Every message about this lease carries it.
     pub epoch: Epoch,
-    /// Milliseconds after which the lease ends, unless a heartbeat renews it.
+    /// Milliseconds after which the lease expires, unless a heartbeat renews it.
     pub lease: u64,
-    /// The lease of another worker that does the same, where this is its copy: the first that is done counts.
+    /// Lease of another worker for the same task, if this lease is a copy of it. The first result counts.
     pub copy_of: Option<Epoch>,
     /// Content of the task: item, steps and inputs.
     pub work: Work,
 }
 
-/// The content of a task; what it is a part of, the job's graph and settings say.
+/// Content of a task. The job's graph and settings give the context.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Work {
-    /// Number of the task in its stage, before tasks are cut.
+    /// Number of the task in its stage, not counting chunks.
     pub item: u32,
-    /// The steps of it that the lease covers: of a render task, sample indices of each pixel.
+    /// Steps of the task that the lease covers. For a render task: sample indices of each pixel.
     pub steps: Range<u32>,
-    /// What it reads, in order of need, frame and task.
+    /// Inputs, in order of need, frame and task.
     pub inputs: Vec<Input>,
-    /// What it may look at of the frame before, as far as it is there, by the number of the stage's hint.
+    /// Available hints from the preceding frame. [`Input::need`] is the number of the hint in the stage.
     pub hints: Vec<Input>,
-    /// Steps that each task of the stage that is cut has taken in all, of those that its inputs are made of; empty where there
-    /// are none, and of a task that is cut itself.
+    /// Total steps of each task of the divided stage from which the inputs are made. Empty if there is no such stage, and for a
+    /// task that is itself divided into chunks.
     pub taken: Taken,
     /// Whether another round may follow this one.
     pub more: More,
-    /// Milliseconds since the first lease of the frame, or of the job's own stages: for a time budget; 0 where tasks are cut.
+    /// Milliseconds since the first lease of the frame, or of the job's own stages. Used for a time budget. 0 if the task is
+    /// divided into chunks.
     pub elapsed: u64,
-    /// Seconds that workers spent on it until now.
+    /// Seconds that workers have spent on the frame so far.
     pub busy_seconds: f64,
 }
 
 /// An output that a task reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Input {
-    /// Which of the stage's needs it is for, or of its hints.
+    /// Number of the need of the stage, or of the hint.
     pub need: u16,
-    /// The frame that it is of, or [`Stage::OF_JOB`].
+    /// Frame of the output, or [`Stage::OF_JOB`].
     pub frame: u32,
-    /// The task that has made it, by its number before tasks are cut; one that was cut has several.
+    /// Number of the task that made the output, not counting chunks. A task that was divided has several outputs.
     pub item: u32,
     /// Role and artifact of the output.
     pub output: Output,
 }
 
-/// What a task has made.
+/// Output of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Output {
     /// Role of the output.
@@ -136,20 +137,20 @@ pub struct Output {
 }
 
 impl Work {
-    /// Most that a task is given of the frame before.
+    /// Maximum number of hints of a task.
     pub const MAX_HINTS: usize = 4_096;
 
-    /// Every artifact that is read for it, beside the scene.
+    /// Returns every artifact that the task must read, besides the scene.
     pub fn artifacts(&self) -> impl Iterator<Item = Artifact> + '_ {
         self.inputs.iter().map(|input| input.output.artifact)
     }
 
-    /// Every artifact that it may look at.
+    /// Returns every artifact that the task may read as a hint.
     pub fn hinted(&self) -> impl Iterator<Item = Artifact> + '_ {
         self.hints.iter().map(|hint| hint.output.artifact)
     }
 
-    /// What is read of one role, in order.
+    /// Returns the inputs of one role, in order.
     pub fn of_role(&self, role: Role) -> impl Iterator<Item = &Input> {
         self.inputs.iter().filter(move |input| input.output.role == role)
     }
@@ -160,7 +161,7 @@ impl Work {
 pub enum More {
     /// Another round may follow.
     Rounds,
-    /// This is the last: the loop ends with what there is.
+    /// This is the last round. The loop ends with the results so far.
     Last,
 }
 

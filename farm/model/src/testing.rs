@@ -1,10 +1,10 @@
-//! Graphs for tests and measurements; an engine's plan makes its own.
+//! Graphs for tests and benchmarks. An engine's plan makes its own graphs.
 
 use crate::{Graph, Need, Reach, Role, Round, Scope, Sizes, StageKind, Template};
 
-/// Tiles that are rendered in rounds, until the image says that they are enough.
-/// - `tiles`: of so many units a step each.
-/// - `fan`: tiles of a group, which are united before the image; 0: the image reads tiles.
+/// Makes a graph of tiles that are rendered in rounds until the image task ends the loop.
+/// - `tiles`: the tiles, with units per step.
+/// - `fan`: number of tiles in a group that is reduced before the image; 0: the image reads tiles.
 pub fn frames(tiles: Sizes, rounds: &[u32], fan: u32) -> Graph {
     let carried = Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Before, gaps: false };
     let with_sums = |mut template: Template| {

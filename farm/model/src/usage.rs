@@ -1,4 +1,4 @@
-//! What attempts at tasks took: as their workers measured it, and as the farm keeps it.
+//! Resource usage of attempts, as workers measure it and as the farm keeps it.
 
 use std::collections::BTreeMap;
 
@@ -6,67 +6,67 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Epoch, TaskKey, Tick};
 
-/// What one attempt took, as its worker measured it. Seconds are finite and not negative.
+/// Resources that one attempt used, as its worker measured them. Seconds are finite and not negative.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Usage {
-    /// Seconds between the arrival of the task and its beginning.
+    /// Seconds between the arrival and the start of the task.
     pub wait: f64,
-    /// Seconds from its beginning until there was a result or a failure.
+    /// Seconds from the start until there was a result or a failure.
     pub wall: f64,
-    /// Of these, until its inputs were ready: its scene read, its frame prepared.
+    /// Part of `wall` until the inputs were ready: the scene was read and the frame prepared.
     pub preparation: f64,
-    /// Processor seconds of the worker's process while it did the task and sent the result, shared among what it did at the
+    /// Processor seconds of the worker's process while it ran the task and sent the result, divided among the tasks that ran at the
     /// same time.
     pub cpu: f64,
-    /// Most bytes that the worker's process had in memory meanwhile; `None`: its system does not say.
+    /// Peak memory in bytes of the worker's process during the attempt; `None`: its system does not report it.
     pub peak: Option<u64>,
-    /// Pixel samples taken.
+    /// Number of pixel samples.
     pub samples: u64,
-    /// Rays traced, those to lights too.
+    /// Number of rays traced, including rays to lights.
     pub rays: u64,
-    /// Bytes of artifacts that were fetched for it.
+    /// Bytes of artifacts that were fetched.
     pub fetched: u64,
-    /// Bytes of the artifacts that it brought home.
+    /// Bytes of artifacts that were uploaded.
     pub sent: u64,
 }
 
-/// Time that the ended attempts at a task, or at all tasks of a frame, took. Seconds by the farm's clock, which stands still while no
-/// coordinator runs; processor and wall seconds as workers measured them.
+/// Time that the ended attempts at a task, or at all tasks of a frame, took. Wait seconds are by the farm's clock, which stands
+/// still while no coordinator runs. Processor and wall seconds are as measured by workers.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Times {
-    /// Attempts that have ended.
+    /// Number of ended attempts.
     pub attempts: u32,
-    /// Processor seconds of these attempts, summed: also of those that failed, were revoked or given back. An attempt whose worker was
-    /// lost adds none, because nobody knows them.
+    /// Processor seconds of these attempts, summed. Attempts that failed, were revoked or were given back are included. An attempt
+    /// whose worker was lost adds none, because its usage is not known.
     pub processor: f64,
-    /// Seconds that workers spent in these attempts, summed: attempts that run side by side count each. Of an attempt without a
-    /// measurement it is the length of its lease.
+    /// Seconds that workers spent in these attempts, summed. Attempts that run in parallel count separately. An attempt without a
+    /// measurement counts with the length of its lease.
     pub wall: f64,
-    /// Seconds from the first lease of these attempts to the end of the last one in which none of them ran: the worker did other
-    /// tasks, of other jobs too, or the lease lay in its queue, or nobody had one. Never negative.
+    /// Seconds in which no attempt ran, between the first lease of these attempts and the end of the last. In this time the worker
+    /// ran other tasks, the lease was queued, or no worker had a lease. Never negative.
     pub waiting: f64,
 }
 
-/// How a lease ended.
+/// End of a lease.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Ending {
-    /// Its worker was gone.
+    /// The worker was lost.
     Lost,
-    /// It ran out, its frame began anew, or another lease of the same task was the first that was done.
+    /// The lease expired, its frame was restarted, or another lease of the same task was done first.
     Revoked,
-    /// The worker gave the task back, or was told to stop because the job had ended.
+    /// The worker gave the task back, or was stopped because the job had ended.
     Cancelled,
-    /// With a failure of the task, or of the worker's surroundings.
+    /// The task failed, or the surroundings of the worker did.
     Failed,
-    /// With the result that counts.
+    /// The lease gave the result that counts.
     Done,
 }
 
 impl Ending {
-    /// All, the least first.
+    /// All endings, in ascending rank.
     pub const ALL: [Self; 5] = [Self::Lost, Self::Revoked, Self::Cancelled, Self::Failed, Self::Done];
 
-    /// Name, one word.
+    /// Name in one word.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lost => "lost",
@@ -78,38 +78,39 @@ impl Ending {
     }
 }
 
-/// One attempt at a task: a lease under which work was begun.
+/// One attempt at a task: a lease under which work was started.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AttemptRecord {
     /// The task.
     pub task: TaskKey,
-    /// Of the lease: there is one attempt for each.
+    /// Epoch of the lease. There is one attempt for each.
     pub epoch: Epoch,
     /// Name of the worker.
     pub worker: String,
-    /// The worker's process.
+    /// Process of the worker.
     pub instance: u64,
-    /// When the lease was granted; where that is not known any more, when the work was begun.
+    /// Time at which the lease was granted. If that is no longer known, time at which the work started.
     pub granted: Tick,
-    /// When the coordinator heard of its end.
+    /// Time at which the coordinator received the end.
     pub ended: Tick,
-    /// How the lease ended.
+    /// Ending of the lease.
     pub ending: Ending,
     /// Pixel samples of the result that counts.
     pub samples: u64,
-    /// Relative error of the frame, where the task measured it.
+    /// Relative error of the frame, if the task measured it.
     pub relative_error: Option<f64>,
-    /// What it took; `None`: the worker could not tell.
+    /// Resources used; `None`: the worker did not report them.
     pub usage: Option<Usage>,
 }
 
-/// The attempts of a job, each once, whatever was noted of it and how often.
+/// Attempts of a job. Several records of the same attempt are merged.
 #[derive(Debug, Clone, Default)]
 pub struct Attempts(BTreeMap<(TaskKey, Epoch), AttemptRecord>);
 
 impl Attempts {
-    /// Adds what was noted of an attempt. A lease that had ended may have been taken up again, and what it took may have
-    /// been told after its end: the last ending counts unless it is the lesser one, and what is known stays known.
+    /// Adds a record of an attempt. An attempt may have several records: an ended lease may have been resumed, and its usage may
+    /// arrive after its end. The ending of higher rank wins, at equal rank the later record. The earliest grant and any known usage
+    /// are kept.
     pub fn put(&mut self, record: AttemptRecord) {
         let key = (record.task, record.epoch);
         let Some(known) = self.0.remove(&key) else {
@@ -122,7 +123,7 @@ impl Attempts {
         self.0.insert(key, AttemptRecord { granted, usage, ..chosen });
     }
 
-    /// All, by task and lease.
+    /// Returns all attempts, ordered by task and lease.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = &AttemptRecord> {
         self.0.values()
     }

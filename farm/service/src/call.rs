@@ -1,4 +1,4 @@
-//! What comes to the coordinator: calls, each with a place for its answer.
+//! Calls to the coordinator. Each has a channel for its answer.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -9,87 +9,87 @@ use femc_model::{
 };
 use tokio::sync::{oneshot, watch};
 
-/// What a job is made of.
+/// Specification of a job, and its division into chunks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobShape {
     /// Specification of the job, as submitted.
     pub spec: Box<JobSpec>,
-    /// How its tasks are cut.
+    /// Division of its tasks into chunks.
     pub cut: Cut,
 }
 
-/// Some of a job's attempts.
+/// A page of a job's attempts.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct AttemptPage {
-    /// In the order in which they ended; see [`femc_model::Attempts`].
+    /// Attempts in the order in which they ended; see [`femc_model::Attempts`].
     pub attempts: Vec<AttemptRecord>,
-    /// Where the next page begins; `None`: there is none.
+    /// Start of the next page; `None`: this is the last page.
     pub next: Option<u64>,
 }
 
-/// Where an answer goes.
+/// Channel for an answer.
 pub type Reply<T> = oneshot::Sender<Result<T, Refusal>>;
 
-/// What there is.
+/// All jobs, with warnings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Listing {
-    /// In order of submission.
+    /// Jobs in order of submission.
     pub jobs: Vec<JobStatus>,
-    /// What somebody should look after, for people.
+    /// Warnings for users about conditions that need attention.
     pub warnings: Vec<String>,
 }
 
-/// What has changed of the farm.
+/// Changes of the farm.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Changes {
-    /// Jobs that may be otherwise than before: all that have not ended, and those to which something happened.
+    /// Jobs that may have changed: all unfinished jobs, and those with an event.
     pub jobs: Vec<JobStatus>,
-    /// Every job that there is.
+    /// All existing jobs.
     pub there: BTreeSet<JobId>,
     /// The workers.
     pub workers: Crew,
-    /// What somebody should look after, for people.
+    /// Warnings for users about conditions that need attention.
     pub warnings: Vec<String>,
 }
 
-/// How much a feed wants to hear.
+/// Amount of data that a feed wants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum News {
     /// Every job.
     All,
-    /// What happened since it was asked before.
+    /// Changes since the previous request.
     Changes,
 }
 
-/// What jobs refer to.
+/// Artifacts that jobs refer to.
 #[derive(Debug, Clone, Default)]
 pub struct References {
-    /// All that they name.
+    /// All artifacts that the jobs name.
     pub artifacts: BTreeSet<Digest>,
-    /// Their scenes, whose pieces are theirs, too.
+    /// Scenes of the jobs. The pieces of a scene are referenced, too.
     pub scenes: BTreeSet<Digest>,
 }
 
-/// The log at one moment.
+/// Snapshot of the log.
 #[derive(Debug)]
 pub struct Backup {
-    /// A copy of it, at its beginning.
+    /// Copy of the log, positioned at its start.
     pub log: File,
-    /// What its jobs refer to.
+    /// Artifacts that its jobs refer to.
     pub references: References,
 }
 
-/// A request, to be answered in its own time.
-/// - `S`: a worker's session, as its transport has it.
+/// A call to the coordinator, answered asynchronously.
+/// - `S`: type of a worker's session in its transport.
 #[derive(Debug)]
 pub enum Call<S> {
     /// Queue a job.
     Submit {
-        /// A second submission with this key is the same job.
+        /// Idempotency key: a second submission with this key returns the same job.
         key: Option<String>,
         /// The job.
         spec: Box<JobSpec>,
-        /// Its number.
+        /// Number of the job.
         reply: Reply<JobId>,
     },
     /// Every job.
@@ -97,9 +97,9 @@ pub enum Call<S> {
         /// Status of all jobs.
         reply: Reply<Listing>,
     },
-    /// What has changed since this was asked before, of which there is one who asks.
+    /// Changes since the previous call. There is only one caller of this.
     Changes {
-        /// How much is wanted.
+        /// Amount of data wanted.
         news: News,
         /// Jobs and workers at this moment.
         reply: Reply<Changes>,
@@ -111,23 +111,23 @@ pub enum Call<S> {
         /// Status of the job at this moment.
         reply: Reply<JobStatus>,
     },
-    /// One job, as it changes.
+    /// Updates of one job.
     Watch {
         /// The job.
         job: JobId,
-        /// Its status now and later; closed after its end.
+        /// Current and later status. Closed after the job ends.
         reply: Reply<watch::Receiver<JobStatus>>,
     },
-    /// Steer a job.
+    /// Control a job.
     Control {
         /// The job.
         job: JobId,
-        /// What is done to the job.
+        /// Action on the job.
         control: Control,
         /// Sent when the control is durable.
         reply: Reply<()>,
     },
-    /// What there is of a job's frames in work.
+    /// Available outputs of unfinished frames of a job.
     Parts {
         /// The job.
         job: JobId,
@@ -141,87 +141,87 @@ pub enum Call<S> {
         /// Answer, in ascending order of frames.
         reply: Reply<Vec<FrameRecord>>,
     },
-    /// What workers wrote down while they did the job's tasks.
+    /// Logs of the attempts at a job's tasks.
     Logs {
         /// The job.
         job: JobId,
-        /// Of attempts reported then or later.
+        /// Earliest report time of the attempts.
         since: Tick,
         /// Records, oldest first.
         reply: Reply<Vec<LogRecord>>,
     },
-    /// What a job is made of.
+    /// Specification of a job, and its division into chunks.
     Shape {
         /// The job.
         job: JobId,
-        /// Specification of the job and its cut into tasks.
+        /// Specification of the job and its division into chunks.
         reply: Reply<JobShape>,
     },
-    /// A job frame by frame.
+    /// Table of a job's frames.
     FrameTable {
         /// The job.
         job: JobId,
-        /// Ascending; the job's own stages first, if it has any.
+        /// Frames in ascending order. The job's own stages come first, if it has any.
         reply: Reply<Vec<FrameStatus>>,
     },
-    /// A job task by task.
+    /// Table of a job's tasks.
     Tasks {
         /// The job.
         job: JobId,
-        /// Which of its tasks.
+        /// Filter of the tasks.
         filter: TaskFilter,
-        /// The first of these that is told.
+        /// Index of the first returned task.
         from: u64,
-        /// How many are told at most.
+        /// Maximum number of returned tasks.
         count: usize,
-        /// A window of these, and how many there are.
+        /// Page of tasks, and the total number.
         reply: Reply<TaskPage>,
     },
-    /// What the attempts at a job's tasks took.
+    /// Resource usage of the attempts at a job's tasks.
     Attempts {
         /// The job.
         job: JobId,
-        /// 0, or the `next` of the page before.
+        /// 0, or the `next` of the previous page.
         from: u64,
-        /// In the order in which they ended.
+        /// Attempts in the order in which they ended.
         reply: Reply<AttemptPage>,
     },
     /// The workers.
     Workers {
-        /// Those that are there, and those that were.
+        /// Connected and disconnected workers.
         reply: Reply<Crew>,
     },
-    /// What the owners' jobs used of the farm.
+    /// Farm usage of the owners' jobs.
     Usage {
-        /// By month, then by owner.
+        /// Usage, ordered by month, then by owner.
         reply: Reply<Vec<OwnerUsage>>,
     },
-    /// Give workers no more tasks, or tasks again.
+    /// Drain workers, or end the drain.
     Drain {
         /// Name of the worker.
         worker: WorkerName,
-        /// Whether the drain begins or ends.
+        /// Whether the drain starts or ends.
         drain: Drain,
-        /// The sessions that it was done to, when it is durable.
+        /// Affected sessions. Sent when the change is durable.
         reply: Reply<Vec<WorkerId>>,
     },
-    /// What all jobs refer to.
+    /// Artifacts that all jobs refer to.
     References {
         /// Sent when all earlier calls are durable.
         reply: Reply<References>,
     },
-    /// A copy of the log, and what it refers to.
+    /// Copy of the log, and the artifacts that it refers to.
     Backup {
         /// Sent when all earlier calls are durable.
         reply: Reply<Backup>,
     },
-    /// An artifact that somebody wanted is not in the store, or was damaged and is removed.
+    /// An artifact is missing from the store, or was damaged and has been removed.
     Lost {
         /// Digest of the artifact.
         digest: Digest,
-        /// Sent when all that follows from the loss is durable.
+        /// Sent when all consequences of the loss are durable.
         reply: Reply<()>,
     },
-    /// A worker has come.
+    /// A worker has connected.
     Session(Box<S>),
 }

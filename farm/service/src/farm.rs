@@ -1,4 +1,4 @@
-//! The farm as those see it who ask it.
+//! Client side of the coordinator.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use tokio::sync::{OwnedMutexGuard, mpsc, oneshot};
 use crate::call::{Call, JobShape, Reply};
 use crate::times::{Book, JobTimes};
 
-/// The way to the coordinator; clones lead to the same one.
+/// Handle to the coordinator. Clones refer to the same one.
 pub struct Farm<S> {
     calls: mpsc::Sender<Call<S>>,
     book: Book,
@@ -27,12 +27,12 @@ impl<S> fmt::Debug for Farm<S> {
 }
 
 impl<S> Farm<S> {
-    /// Over this queue.
+    /// Makes a handle from the sending end of the coordinator's queue.
     pub fn new(calls: mpsc::Sender<Call<S>>) -> Self {
         Self { calls, book: Book::default() }
     }
 
-    /// Passes a call on and waits for its answer.
+    /// Sends a call and waits for its answer.
     pub async fn ask<T>(&self, call: impl FnOnce(Reply<T>) -> Call<S>) -> Result<T, Refusal> {
         let stopping = || Refusal::Unavailable { message: "the coordinator is stopping".into() };
         let (reply, answer) = oneshot::channel();
@@ -40,12 +40,12 @@ impl<S> Farm<S> {
         answer.await.map_err(|_| stopping())?
     }
 
-    /// Times of a job's attempts that have ended by now; `None`: there are more than [`Book::MOST`].
+    /// Returns the times of a job's ended attempts; `None`: there are more than [`Book::MOST`].
     pub async fn times(&self, job: JobId, shape: &JobShape) -> Result<Option<OwnedMutexGuard<JobTimes>>, Refusal> {
         self.book.of(self, job, shape).await
     }
 
-    /// The finished frames of a job with the times of their attempts.
+    /// Returns the finished frames of a job with the times of their attempts.
     pub async fn frames_with_times(&self, job: JobId) -> Result<Vec<FrameRecord>, Refusal> {
         let shape = self.ask(|reply| Call::Shape { job, reply }).await?;
         let mut frames = self.ask(|reply| Call::Frames { job, reply }).await?;
@@ -55,12 +55,12 @@ impl<S> Farm<S> {
         Ok(frames)
     }
 
-    /// Passes on a call that is answered in another way; false: the coordinator is stopping.
+    /// Sends a call whose answer takes another path. Returns false if the coordinator is stopping.
     pub async fn tell(&self, call: Call<S>) -> bool {
         self.calls.send(call).await.is_ok()
     }
 
-    /// Ends when the coordinator does.
+    /// Completes when the coordinator stops.
     pub async fn ended(&self) {
         self.calls.closed().await;
     }

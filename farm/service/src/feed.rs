@@ -1,9 +1,10 @@
-//! The farm as it changes, for any number of listeners.
+//! Feed of changes of the farm, for any number of listeners.
 //!
-//! While somebody listens the farm is asked once a second. What has changed becomes one delta with a number, encoded once; a
-//! listener that is up to date gets those bytes. One that was away, or reads slowly, gets all that has changed since the number
-//! that it knows, joined into one delta: every job and worker is kept with the number of its last change, so nothing is
-//! queued for anybody. What is gone is remembered for a while; who knows less than that gets a snapshot.
+//! While there are listeners, the feed queries the farm once per second. All changes of a query become one numbered delta, which is
+//! encoded once. A listener that is up to date gets these bytes. A listener that was disconnected or reads slowly gets one delta
+//! with all changes since the last number it knows. For this, every job and worker is stored with the number of its last change, so
+//! there are no queues per listener. Removed jobs and workers are remembered for a while. A listener whose last number is older
+//! than that gets a snapshot.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::convert::Infallible;
@@ -24,7 +25,7 @@ use crate::call::{Call, Changes, News};
 use crate::farm::Farm;
 use crate::view::{JobJson, OfflineJson, WorkerJson};
 
-/// What listeners hear; clones are the same feed.
+/// Feed of changes. Clones are the same feed.
 pub struct Feed<S> {
     farm: Farm<S>,
     hub: Arc<Hub>,
@@ -42,50 +43,50 @@ impl<S> fmt::Debug for Feed<S> {
     }
 }
 
-/// What listeners share.
+/// State shared by all listeners.
 #[derive(Debug)]
 struct Hub {
     state: Mutex<State>,
-    /// How often there was something new.
+    /// Counter of updates.
     news: watch::Sender<u64>,
 }
 
-/// What is known of the farm.
+/// Known state of the farm.
 #[derive(Debug)]
 struct State {
-    /// Of this start of the coordinator: numbers of another mean nothing.
+    /// Identifier of this start of the coordinator. Numbers from another start are invalid.
     start: String,
     /// Number of the last change.
     seq: u64,
     jobs: Kept,
     workers: Kept,
-    /// Workers that were there, as a JSON list.
+    /// Disconnected workers, as a JSON list.
     offline: String,
     offline_changed: u64,
     warnings: Vec<String>,
     warnings_changed: u64,
-    /// Encoded: the last change, and all there is.
+    /// Number and encoded event of the last change.
     delta: Option<(u64, Bytes)>,
     snapshot: Option<(u64, Bytes)>,
-    /// Whether somebody asks the farm.
+    /// Whether a task queries the farm.
     is_running: bool,
 }
 
-/// Things by number, each as JSON with the number of its last change.
+/// Items by number, each as JSON with the number of its last change.
 #[derive(Debug, Default)]
 struct Kept {
     there: BTreeMap<u64, (String, u64)>,
-    /// What is gone, in order of changes.
+    /// Removed items: number of the change, and number of the item, in order of changes.
     gone: VecDeque<(u64, u64)>,
-    /// Changes up to this one have been forgotten.
+    /// Removals up to this change have been forgotten.
     forgotten: u64,
 }
 
 impl Kept {
-    /// Most that is remembered of what is gone.
+    /// Maximum number of remembered removals.
     const GONE: usize = 4096;
 
-    /// Takes in what may have changed, and forgets what is not there any more; says whether something is otherwise than before.
+    /// Applies new states and removes items that do not exist any more. Returns whether anything changed.
     fn update(&mut self, now: BTreeMap<u64, String>, is_there: impl Fn(u64) -> bool, seq: u64) -> bool {
         let mut has_changed = false;
         let gone: Vec<u64> = self.there.keys().filter(|number| !is_there(**number)).copied().collect();
@@ -106,13 +107,13 @@ impl Kept {
         has_changed
     }
 
-    /// As a JSON list: what has changed since.
+    /// Returns the items that changed after `seq`, as a JSON list.
     fn since(&self, seq: u64) -> String {
         let changed = self.there.values().filter(|(_, changed)| *changed > seq);
         format!("[{}]", changed.map(|(json, _)| json.as_str()).collect::<Vec<_>>().join(","))
     }
 
-    /// As a JSON list: what is gone since.
+    /// Returns the numbers of the items removed after `seq`, as a JSON list.
     fn gone_since(&self, seq: u64) -> String {
         let gone = self.gone.iter().filter(|(at, number)| *at > seq && !self.there.contains_key(number));
         let numbers: BTreeSet<u64> = gone.map(|(_, number)| *number).collect();
@@ -137,7 +138,7 @@ impl State {
         }
     }
 
-    /// What a listener is to hear that knows the change `known`, and the number that it knows then.
+    /// Returns the next event for a listener that knows the change `known`, and the number that it knows afterwards.
     fn message(&mut self, known: Option<u64>) -> Option<(u64, Bytes)> {
         match known {
             Some(known) if known == self.seq => None,
@@ -159,7 +160,7 @@ impl State {
         }
     }
 
-    /// The event with all that has changed since.
+    /// Returns the event with all changes after `since`.
     fn joined(&self, since: u64) -> Bytes {
         let warnings = if self.warnings_changed > since { json(&self.warnings) } else { "null".to_owned() };
         let offline = if self.offline_changed > since { self.offline.clone() } else { "null".to_owned() };
@@ -174,7 +175,7 @@ impl State {
         self.event("delta", &fields)
     }
 
-    /// The event with all there is.
+    /// Returns the event with the whole state.
     fn whole(&self) -> Bytes {
         let fields = [
             ("jobs", self.jobs.since(0)),
@@ -189,14 +190,14 @@ impl State {
         let id = format!("{}-{}", self.start, self.seq);
         let mut text = format!("id: {id}\nevent: {name}\ndata: {{\"seq\":\"{id}\"");
         for (field, value) in fields {
-            // Writing to a string does not fail.
+            // Writing to a string cannot fail.
             let _ = write!(text, ",\"{field}\":{value}");
         }
         text.push_str("}\n\n");
         text.into()
     }
 
-    /// Takes in what may have changed; says whether there is something new.
+    /// Applies new states. Returns whether there is something new.
     fn update(&mut self, changes: Changes, silence: impl Fn(f64) -> f64) -> bool {
         let Changes { jobs, there, workers, warnings } = changes;
         let next = self.seq + 1;
@@ -214,7 +215,7 @@ impl State {
         self.note(have_jobs_changed || have_workers_changed || have_left, warnings)
     }
 
-    /// Gives what has changed its number; says whether there is something new.
+    /// Assigns a number to the changes. Returns whether there is something new.
     fn note(&mut self, has_changed: bool, warnings: Vec<String>) -> bool {
         let next = self.seq + 1;
         let have_warnings_changed = self.warnings != warnings;
@@ -230,19 +231,19 @@ impl State {
     }
 }
 
-/// On one line; what is there has no maps with strange keys.
+/// Serializes a value on one line. This does not fail for our types, which have no maps with keys other than strings.
 fn json<T: Serialize>(value: &T) -> String {
     serde_json::to_string(value).unwrap_or_else(|_| "null".to_owned())
 }
 
 impl Hub {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// Where a listener stands.
+/// Position of a listener in the feed.
 struct Listener<S> {
     feed: Feed<S>,
     news: watch::Receiver<u64>,
@@ -252,14 +253,14 @@ struct Listener<S> {
 }
 
 impl<S: Send + 'static> Feed<S> {
-    /// Between two looks at the farm.
+    /// Interval between two queries of the farm.
     const EVERY: Duration = Duration::from_secs(1);
-    /// Between two signs of life to a listener.
+    /// Interval between two keep-alives to a listener.
     const ALIVE: Duration = Duration::from_secs(10);
-    /// Silence of a worker that is worth a word: less is the time between two heartbeats.
+    /// Shortest silence of a worker that is shown, in seconds. A shorter silence is normal between two heartbeats.
     const SILENCE: f64 = 3.0;
 
-    /// Of this farm, as this start of its coordinator knows it.
+    /// Makes the feed of a farm. Its numbers are valid for this start of the coordinator only.
     pub fn new(farm: Farm<S>) -> Self {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let start = format!("{:x}", since.as_nanos());
@@ -267,8 +268,9 @@ impl<S: Send + 'static> Feed<S> {
         Self { farm, hub: Arc::new(hub) }
     }
 
-    /// Server-sent events for one listener, until it goes away, the coordinator ends, or its identity counts no more.
-    /// - `last`: the id of the last event that it has heard.
+    /// Returns the server-sent events for one listener. The stream ends when the listener disconnects, the coordinator stops, or
+    /// the credential becomes invalid.
+    /// - `last`: id of the last event that the listener received.
     pub fn listen(
         &self,
         last: Option<&str>,
@@ -289,7 +291,7 @@ impl<S: Send + 'static> Feed<S> {
         unfold(listener, Listener::next)
     }
 
-    /// Asks the farm while somebody listens.
+    /// Queries the farm while there are listeners.
     async fn run(self) {
         let mut timer = tokio::time::interval(Self::EVERY);
         timer.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -314,8 +316,8 @@ impl<S: Send + 'static> Feed<S> {
         }
     }
 
-    /// Asks once; says whether there is something new.
-    /// - `wanted`: changes alone, once all is known.
+    /// Queries the farm once. Returns whether there is something new.
+    /// - `wanted`: set to changes only, after the first successful query.
     async fn look(&self, wanted: &mut News) -> bool {
         let news = *wanted;
         let changes = self.farm.ask(|reply| Call::Changes { news, reply }).await;
@@ -325,14 +327,14 @@ impl<S: Send + 'static> Feed<S> {
                 *wanted = News::Changes;
                 self.hub.lock().update(changes, quiet)
             }
-            // What is known stays, with a warning.
+            // The known state is kept, with a warning.
             Err(refusal) => self.hub.lock().note(false, vec![refusal.to_string()]),
         }
     }
 }
 
 impl<S: Send + 'static> Listener<S> {
-    /// The next event, as soon as there is one.
+    /// Waits for the next event and returns it.
     async fn next(mut self) -> Option<(Result<Bytes, Infallible>, Self)> {
         loop {
             if self.caller.as_ref().is_some_and(|caller| !caller.still_counts()) {
@@ -369,7 +371,7 @@ mod tests {
 
     use super::*;
 
-    /// A farm with as many workers as are wanted, which counts how often it is asked.
+    /// Makes a farm with the given workers, which counts its queries.
     fn farm(workers: watch::Receiver<Vec<u64>>) -> (Farm<()>, watch::Receiver<u32>) {
         let (calls, mut inbox) = mpsc::channel(8);
         let (asked, count) = watch::channel(0);
@@ -379,7 +381,7 @@ mod tests {
                     Call::Changes { reply, .. } => {
                         asked.send_modify(|count| *count += 1);
                         let there: Vec<WorkerStatus> = workers.borrow().iter().map(|number| worker(*number)).collect();
-                        // The first worker is known for good.
+                        // The first worker is always known.
                         let first = Some(offline("w1")).filter(|_| there.iter().all(|it| it.name != "w1"));
                         let workers = Crew { there, offline: first.into_iter().collect() };
                         drop(reply.send(Ok(Changes { workers, ..Changes::default() })));
@@ -411,7 +413,7 @@ mod tests {
         }
     }
 
-    /// Its kind, its id and its data.
+    /// Returns the kind, the id and the data of an event.
     fn parts(event: &Bytes) -> (String, String, serde_json::Value) {
         let text = std::str::from_utf8(event).unwrap();
         let field = |name: &str| text.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default().to_owned();
@@ -507,7 +509,7 @@ mod tests {
         slow.next().await.unwrap().unwrap();
         let mut steady = Box::pin(feed.listen(None, None));
         steady.next().await.unwrap().unwrap();
-        // More comes and goes than is remembered.
+        // More workers leave than the feed remembers.
         for turn in 0..20 {
             there.send_replace((0..500).map(|number| 1 + number + 500 * turn).collect());
             steady.next().await.unwrap().unwrap();

@@ -1,4 +1,4 @@
-//! Results of a job that people keep as files, under the names that `femc fetch` gives them.
+//! Results of a job that users keep as files, with the names that `femc fetch` gives them.
 
 use femc_model::{Artifact, FrameRecord, Graph, JobSpec, Role, Stage, StageKind};
 use serde::Deserialize;
@@ -6,11 +6,11 @@ use serde::Deserialize;
 /// A result of a frame or of the whole job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum File {
-    /// A result of the frame of this number.
+    /// A result of the frame with this number.
     Frame(u32, FrameFile),
     /// All frames as a clip.
     Clip,
-    /// All frames on one PNG.
+    /// Contact sheet: all frames in one PNG.
     Sheet,
 }
 
@@ -19,9 +19,9 @@ pub(crate) enum File {
 pub(crate) enum FrameFile {
     /// EXR.
     Image,
-    /// PNG under the frame's own exposure.
+    /// PNG with the frame's own exposure.
     Preview,
-    /// PNG under the exposure of all frames.
+    /// PNG with the common exposure of all frames.
     Still,
     /// PNG in a painted style.
     Painted,
@@ -36,7 +36,7 @@ impl FrameFile {
     pub(crate) const ALL: [Self; 6] =
         [Self::Image, Self::Preview, Self::Still, Self::Painted, Self::Layers, Self::Statistics];
 
-    /// Last part of its path over HTTP.
+    /// Returns the last segment of the result's HTTP path.
     pub(crate) const fn segment(self) -> &'static str {
         match self {
             Self::Image => "image.exr",
@@ -48,7 +48,7 @@ impl FrameFile {
         }
     }
 
-    /// End of its file name, after the frame's number.
+    /// Returns the end of the file name, after the frame number.
     const fn ending(self) -> &'static str {
         match self {
             Self::Image => "exr",
@@ -73,7 +73,7 @@ impl FrameFile {
 }
 
 impl File {
-    /// Its artifact, where it is made.
+    /// Returns the artifact, if the job has made it.
     /// - `records`: finished frames of the job, with the record of the whole job.
     pub(crate) fn artifact(self, spec: &JobSpec, records: &[FrameRecord]) -> Option<Artifact> {
         let record = |frame| records.iter().find(|record| record.frame == frame);
@@ -85,7 +85,7 @@ impl File {
             Self::Clip => of_job(Role::Clip).next(),
             Self::Sheet => of_job(Role::Sheet).next(),
             Self::Frame(Stage::OF_JOB, _) => None,
-            // The whole job lists these in the order of frames.
+            // The record of the whole job lists these in frame order.
             Self::Frame(frame, file @ (FrameFile::Still | FrameFile::Painted)) => {
                 let place = spec.frames.iter().position(|&other| other == frame)?;
                 of_job(file.role()).nth(place)
@@ -94,8 +94,8 @@ impl File {
         }
     }
 
-    /// Its file name.
-    /// - `extension`: of a clip whose name the job does not tell.
+    /// Returns the file name.
+    /// - `extension`: extension of a clip whose name the job does not specify.
     pub(crate) fn name(self, spec: &JobSpec, extension: &str) -> String {
         let names = FileNames::new(&spec.graph);
         match self {
@@ -105,7 +105,7 @@ impl File {
         }
     }
 
-    /// The result for people, within a sentence.
+    /// Returns a description for use in a sentence.
     pub(crate) fn describe(self) -> String {
         match self {
             Self::Frame(frame, file) => format!("{} of frame {frame}", file.segment()),
@@ -115,16 +115,16 @@ impl File {
     }
 }
 
-/// File names that the submitter of a job has chosen.
+/// File names chosen by the submitter of a job.
 #[derive(Debug, Default)]
 pub(crate) struct FileNames {
-    /// Name of the clip; its extension names the format.
+    /// Name of the clip. Its extension selects the format.
     pub(crate) clip: Option<String>,
     /// Name of the contact sheet.
     pub(crate) sheet: Option<String>,
 }
 
-/// The options of the stages that encode, as far as they are names.
+/// Options of encode stages: the file names only.
 #[derive(Deserialize)]
 struct Options {
     sheet: Option<String>,
@@ -137,7 +137,7 @@ struct Video {
 }
 
 impl FileNames {
-    /// Reads the names from a job's graph. A name that cannot be a file's is left out.
+    /// Reads the names from a job's graph. Names that are not valid file names are ignored.
     pub(crate) fn new(graph: &Graph) -> Self {
         let encode = graph.stages.iter().find(|template| template.kind == StageKind::Encode);
         let options = encode.and_then(|template| serde_json::from_str::<Options>(&template.options).ok());
@@ -147,19 +147,19 @@ impl FileNames {
     }
 }
 
-/// Media type and usual extension of a clip or picture, by its first bytes.
-/// - `head`: 64 bytes or more, if the file has as many.
+/// Returns the media type and the usual extension of a clip or image, from its first bytes.
+/// - `head`: the first 64 bytes or more, or the whole file if it is shorter.
 pub(crate) fn media(head: &[u8]) -> (&'static str, &'static str) {
     let at = |place: usize, bytes: &[u8]| head.get(place..).is_some_and(|rest| rest.starts_with(bytes));
     let has = |bytes: &[u8]| head.windows(bytes.len()).any(|window| window == bytes);
     match head {
-        // An animated PNG is a PNG, too.
+        // An animated PNG is also a PNG.
         _ if at(0, b"\x89PNG\r\n\x1a\n") => ("image/png", "png"),
         _ if at(0, b"GIF8") => ("image/gif", "gif"),
         _ if at(4, b"ftypavi") => ("image/avif", "avif"),
         _ if at(4, b"ftypqt") => ("video/quicktime", "mov"),
         _ if at(4, b"ftyp") => ("video/mp4", "mp4"),
-        // EBML, with the name of its format near the beginning.
+        // EBML, with the format name near its start.
         _ if at(0, b"\x1a\x45\xdf\xa3") && has(b"webm") => ("video/webm", "webm"),
         _ if at(0, b"\x1a\x45\xdf\xa3") => ("video/x-matroska", "mkv"),
         _ if at(0, b"OggS") => ("video/ogg", "ogv"),

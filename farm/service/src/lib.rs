@@ -1,8 +1,8 @@
-//! What can be asked of a farm, whatever the way.
+//! Services of the farm, independent of the protocol.
 //!
-//! [`Operation`] is everything that can be asked for, with the right that it takes; [`Gate`] says who may, whose turn it is, and
-//! what is noted of it. [`Call`] is what reaches the coordinator. gRPC (`femc-proto`) is one adapter of this; [`Http`] is the other: JSON
-//! for programs and for the page, one [`Feed`] of changes, server-sent. [`view`] has the JSON of all there is.
+//! [`Operation`] lists all operations with the rights they need. [`Gate`] authorizes requests, limits their rate, and writes the
+//! audit log. [`Call`] is a call to the coordinator. gRPC (`femc-proto`) is one adapter of this interface. [`Http`] is the other:
+//! JSON for programs and for the web page, and one [`Feed`] of changes as server-sent events. [`view`] has the JSON of all objects.
 #![deny(missing_docs)]
 
 mod access;

@@ -1,8 +1,8 @@
-//! What can be asked of a farm, whatever the way: every call of gRPC and every request over HTTP is one of these.
+//! Operations of the farm, independent of the protocol. Every gRPC call and every HTTP request is one of these.
 
 use femc_trust::{Holder, Role};
 
-/// What is asked for.
+/// Operation that a request asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Operation {
     /// Queue a job.
@@ -11,66 +11,66 @@ pub enum Operation {
     List,
     /// See one job.
     Status,
-    /// See one job as it changes.
+    /// Follow the status of one job.
     Watch,
-    /// Pause, resume, cancel, retry, delete a job, change its priority.
+    /// Pause, resume, cancel, retry or delete a job, or change its priority.
     Control,
     /// See finished frames.
     Frames,
-    /// See what there is of frames in work.
+    /// See the available outputs of unfinished frames.
     Parts,
     /// Read logs.
     Logs,
-    /// See a job frame by frame.
+    /// See the table of a job's frames.
     FrameTable,
-    /// See a job task by task.
+    /// See the table of a job's tasks.
     Tasks,
-    /// See a frame as it grows.
+    /// See a picture of a frame, also before it is finished.
     Picture,
     /// Read a result of a job as a file.
     Download,
-    /// See what attempts took.
+    /// See the resource usage of attempts.
     Attempts,
-    /// See what the owners' jobs used of the farm.
+    /// See the farm usage of the owners' jobs.
     Usage,
     /// See the workers.
     ListWorkers,
-    /// Give workers no more tasks, or tasks again.
+    /// Drain workers, or end the drain.
     DrainWorkers,
     /// Copy the log.
     Backup,
-    /// Take part in rendering.
+    /// Open a session as a worker.
     Session,
     /// Ask which artifacts are not in the store.
     Missing,
-    /// Ask where an upload goes on.
+    /// Ask at which byte an upload continues.
     Offer,
-    /// Send an artifact.
+    /// Upload an artifact.
     Put,
     /// Read an artifact.
     Get,
-    /// Remove from the store what no job refers to.
+    /// Remove artifacts from the store that no job refers to.
     Collect,
-    /// Ask whether the server serves, and what it offers.
+    /// Ask whether the server is healthy, and for its capabilities.
     Health,
-    /// See the farm as it changes.
+    /// Follow the changes of the farm.
     Feed,
-    /// Ask who one is.
+    /// Ask for the caller's own identity.
     Me,
-    /// Load the page, its scripts and styles.
+    /// Load the web page, its scripts and styles.
     Page,
-    /// Give a token, get a cookie.
+    /// Exchange a token for a cookie.
     Login,
-    /// End the cookie.
+    /// Delete the cookie.
     Logout,
-    /// Read what was done to the farm, and what was refused.
+    /// Read the audit log: changes and refusals.
     ReadAudit,
-    /// Whatever else.
+    /// Any other request.
     Other,
 }
 
 impl Operation {
-    /// Those that requests over HTTP are.
+    /// Operations that are available over HTTP.
     pub const HTTP: [Self; 19] = [
         Self::List,
         Self::Status,
@@ -93,7 +93,7 @@ impl Operation {
         Self::Other,
     ];
 
-    /// Its name in the audit record.
+    /// Returns the name in the audit log.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Submit => "Jobs/Submit",
@@ -130,7 +130,7 @@ impl Operation {
         }
     }
 
-    /// Who may ask for it.
+    /// Returns the right that the operation needs.
     pub const fn right(self) -> Right {
         match self {
             Self::Page | Self::Login | Self::Logout => Right::Public,
@@ -149,7 +149,7 @@ impl Operation {
             | Self::Usage
             | Self::ListWorkers
             | Self::Feed => Right::User(Role::Viewer),
-            // Whose job it is decides the call itself.
+            // The call itself checks the owner of the job.
             Self::Submit | Self::Control => Right::User(Role::Submitter),
             Self::DrainWorkers => Right::User(Role::Operator),
             Self::Session => Right::Worker,
@@ -159,16 +159,16 @@ impl Operation {
         }
     }
 
-    /// Whether it changes what the farm does: then it is noted, whatever its outcome.
+    /// Returns whether the operation changes the farm. Changes are always written to the audit log, whatever their outcome.
     pub const fn is_change(self) -> bool {
         matches!(self, Self::Submit | Self::Control | Self::DrainWorkers | Self::Session | Self::Collect | Self::Login)
     }
 }
 
-/// What an operation takes.
+/// Right that an operation needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Right {
-    /// Nothing: also who is not known may.
+    /// None: unauthenticated callers are permitted.
     Public,
     /// Any identity of the farm.
     Anybody,
@@ -181,7 +181,7 @@ pub enum Right {
 }
 
 impl Right {
-    /// Whether this holder has it.
+    /// Returns whether this holder has the right.
     pub fn is_of(self, holder: &Holder) -> bool {
         match (self, holder) {
             (Self::Public | Self::Anybody, _) | (Self::Worker | Self::WorkerOrUser(_), Holder::Worker { .. }) => true,
@@ -190,7 +190,8 @@ impl Right {
         }
     }
 
-    /// What whoever is refused would have to be: a worker is never refused what workers may, and no user is told to be one.
+    /// Describes the required holder for the message of a refusal. Workers are never refused a right that includes workers, so that
+    /// case names only users.
     pub fn takes(self) -> String {
         match self {
             Self::Public => "nothing".into(),

@@ -1,4 +1,4 @@
-//! Frames as pictures. The farm knows nothing of light: a program that does brings a [`Draw`] along.
+//! Pictures of frames. The farm has no rendering code of its own: a program that has it supplies a [`Draw`] function.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -13,51 +13,51 @@ use crate::call::Call;
 use crate::farm::Farm;
 use crate::steer::store_refusal;
 
-/// What a picture is made of.
+/// Source of a picture.
 #[derive(Debug, Clone)]
 pub enum Source {
-    /// The image of a finished frame, EXR.
+    /// Image of a finished frame as EXR.
     Image(Bytes),
-    /// The tone-mapped image of a finished frame, PNG.
+    /// Tone-mapped image of a finished frame as PNG.
     Preview(Bytes),
-    /// The light statistics of a finished frame.
+    /// Light statistics of a finished frame.
     Statistics(Bytes),
-    /// What there is of a frame in work.
+    /// Available outputs of an unfinished frame.
     Parts(FrameParts, Vec<(Role, Bytes)>),
 }
 
-/// What is wanted.
+/// Kind of picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wanted {
-    /// A small PNG, tone-mapped.
+    /// A small, tone-mapped PNG.
     Thumbnail {
-        /// Rows at most.
+        /// Maximum height in pixels.
         height: u32,
     },
-    /// Planes of half floats, as `docs/http.md` has them.
+    /// Planes of half floats, as specified in `docs/http.md`.
     Pixels,
-    /// The same of what light statistics know of each pixel.
+    /// Planes of half floats with the light statistics of each pixel.
     Maps,
 }
 
-/// Makes pictures; it may take seconds. An error says what is wrong with the source.
+/// Function that draws pictures. It may take seconds. Its error describes the fault of the source.
 pub type Draw = fn(Source, Wanted) -> Result<Vec<u8>, String>;
 
-/// A picture, and the name of what it was made of.
+/// A picture, and a tag that identifies its source.
 #[derive(Debug, Clone)]
 pub(crate) struct Drawn {
     pub(crate) tag: String,
     pub(crate) bytes: Bytes,
 }
 
-/// Draws for all who ask; clones share what was drawn lately.
+/// Draws pictures for all clients. Clones share the cache.
 #[derive(Clone)]
 pub(crate) struct Pictures {
     draw: Option<Draw>,
     store: Store,
-    /// Pictures that are being drawn.
+    /// Limits the number of pictures that are drawn at the same time.
     turns: Arc<Semaphore>,
-    /// The latest thumbnails.
+    /// Cache of the latest thumbnails.
     kept: Arc<Mutex<VecDeque<Drawn>>>,
 }
 
@@ -68,17 +68,17 @@ impl fmt::Debug for Pictures {
 }
 
 impl Pictures {
-    /// Pictures that are drawn at a time: each may take as much memory as the frame.
+    /// Maximum number of pictures drawn at the same time: each may use as much memory as the frame.
     const TURNS: usize = 2;
-    /// Bytes of thumbnails that are kept.
+    /// Size of the thumbnail cache in bytes.
     const KEPT: usize = 16 << 20;
 
     pub(crate) fn new(draw: Option<Draw>, store: Store) -> Self {
         Self { draw, store, turns: Arc::new(Semaphore::new(Self::TURNS)), kept: Arc::default() }
     }
 
-    /// A picture of a frame; `None`: there is nothing of it yet.
-    /// - `known`: the tag of what the client has: then nothing is drawn, and the bytes are empty.
+    /// Returns a picture of a frame; `None`: no data is available yet.
+    /// - `known`: tag of the picture that the client has. If it is current, nothing is drawn and the bytes are empty.
     pub(crate) async fn of<S>(
         &self,
         farm: &Farm<S>,
@@ -96,7 +96,7 @@ impl Pictures {
                 let Some(output) = best(record, wanted) else { return Ok(None) };
                 (tag(&[output], wanted), vec![output], None)
             }
-            // Statistics are those of the whole frame.
+            // Statistics exist only for whole frames.
             None if wanted == Wanted::Maps => return Ok(None),
             None => {
                 let parts = farm.ask(|reply| Call::Parts { job, reply }).await?;
@@ -112,13 +112,13 @@ impl Pictures {
         if let Some(kept) = self.kept(&tag) {
             return Ok(Some(kept));
         }
-        // It is never closed.
+        // The semaphore is never closed.
         let _turn = self.turns.acquire().await;
         let mut artifacts = Vec::with_capacity(outputs.len());
         for Output { role, artifact } in outputs {
             match self.store.get(&artifact.digest).await {
                 Ok(bytes) => artifacts.push((role, bytes)),
-                // The frame went on meanwhile.
+                // The frame has progressed meanwhile, and the part was replaced.
                 Err(StoreError::Missing { .. }) if parts.is_some() => {}
                 Err(error) => {
                     if matches!(error, StoreError::Missing { .. } | StoreError::Mismatch { .. }) {
@@ -146,7 +146,7 @@ impl Pictures {
     }
 
     fn kept(&self, tag: &str) -> Option<Drawn> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
         let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         kept.iter().find(|drawn| drawn.tag == tag).cloned()
     }
@@ -160,7 +160,7 @@ impl Pictures {
     }
 }
 
-/// What of a finished frame is read: for a thumbnail the PNG, if there is one.
+/// Returns the output of a finished frame to draw from. Thumbnails use the PNG, if there is one.
 fn best(record: &FrameRecord, wanted: Wanted) -> Option<Output> {
     let of_role = |role: Role| record.outputs.iter().find(|output| output.role == role).copied();
     match wanted {
@@ -170,7 +170,7 @@ fn best(record: &FrameRecord, wanted: Wanted) -> Option<Output> {
     }
 }
 
-/// Names what was drawn of what.
+/// Returns a tag that identifies the outputs and the kind of picture.
 fn tag(outputs: &[Output], wanted: Wanted) -> String {
     let mut bytes: Vec<u8> = outputs.iter().flat_map(|output| *output.artifact.digest.as_bytes()).collect();
     bytes.extend(format!("{wanted:?}").bytes());

@@ -1,4 +1,4 @@
-//! What people do to jobs, by whichever way.
+//! Actions of users on jobs, independent of the protocol.
 
 use std::collections::BTreeSet;
 
@@ -10,8 +10,9 @@ use crate::call::Call;
 use crate::farm::Farm;
 
 impl<S> Farm<S> {
-    /// Steers a job: a submitter one of its own, others need an operator. Before a retry of a job that is done its images are read,
-    /// before one of single frames theirs: those that are damaged or gone are its business again.
+    /// Controls a job. Submitters may control their own jobs; other jobs need an operator. Before a retry of a finished job, its
+    /// images are read; before a retry of single frames, the images of these frames. The job then recreates damaged or missing
+    /// images.
     pub async fn steer(
         &self,
         store: &Store,
@@ -30,7 +31,7 @@ impl<S> Farm<S> {
             }
             Control::RetryFrames(frames) => {
                 let frames: BTreeSet<u32> = frames.iter().copied().collect();
-                // A frame that the job does not have is refused before any image is read.
+                // If the job lacks one of the frames, no image is read, and the control is refused below.
                 let own = self.ask(|reply| Call::Shape { job, reply }).await?.spec.frames;
                 if frames.iter().all(|frame| own.contains(frame)) {
                     self.look_at_images(store, job, |frame| frames.contains(&frame)).await?;
@@ -54,16 +55,16 @@ impl<S> Farm<S> {
         Ok(())
     }
 
-    /// An artifact that was wanted is not there, or was damaged: whoever made it makes it again.
+    /// Reports that an artifact is missing or damaged. Its task recreates it.
     pub async fn lost(&self, digest: Digest) {
         if let Err(refusal) = self.ask(|reply| Call::Lost { digest, reply }).await {
-            // Whoever asks for it next finds the same.
+            // The next reader of the artifact will report it again.
             tracing::warn!(%digest, %refusal, "an artifact is lost, and its job does not know");
         }
     }
 }
 
-/// What the store says, as a refusal.
+/// Converts an error of the store to a refusal.
 pub fn store_refusal(error: &StoreError) -> Refusal {
     match error {
         StoreError::Missing { digest } => Refusal::NoSuchArtifact { digest: *digest },

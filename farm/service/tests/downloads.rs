@@ -1,4 +1,4 @@
-//! Results of jobs as files, over HTTP/1.1 on a real connection.
+//! Tests of downloads of job results, over HTTP/1.1 on a real connection.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -20,7 +20,7 @@ use tokio::sync::mpsc;
 
 const JOB: JobId = JobId(7);
 
-/// A coordinator with one job, which notes the artifacts that it was told to be lost.
+/// A coordinator with one job. It records the artifacts that were reported lost.
 struct Server {
     address: String,
     store: Store,
@@ -28,7 +28,7 @@ struct Server {
     artifacts: BTreeMap<&'static str, (Artifact, Bytes)>,
 }
 
-/// An answer.
+/// An HTTP response.
 struct Answer {
     status: u16,
     head: BTreeMap<String, String>,
@@ -82,7 +82,7 @@ fn record(frame: u32, outputs: Vec<Output>) -> FrameRecord {
     }
 }
 
-/// Answers what is asked of a farm with this job.
+/// Answers calls to a farm with this job.
 async fn answer(
     mut inbox: mpsc::Receiver<Call<()>>,
     spec: JobSpec,
@@ -107,7 +107,7 @@ async fn answer(
 
 impl Server {
     /// Starts a coordinator.
-    /// - `tokens`: of those that it lets in; without them it lets everybody in.
+    /// - `tokens`: accepted tokens. `None`: the farm does not authenticate.
     async fn start(name: &str, tokens: Option<Tokens>) -> Self {
         let store = Store::memory();
         let large: Vec<u8> = (0..9_000_001u32).map(|i| (i * 7 + i / 251) as u8).collect();
@@ -224,7 +224,7 @@ async fn every_result_has_a_path_a_media_type_and_the_name_that_fetch_gives_it()
 async fn a_part_is_sent_alone_and_one_behind_the_end_is_refused_with_the_length() {
     let server = Server::start("drive", None).await;
     let (path, bytes) = ("7/frames/3/image.exr", server.bytes("image").clone());
-    // The last of these crosses a block of the store.
+    // The last of these spans two blocks of the store.
     for (range, part) in
         [("0-", 0..9_000_001), ("0-0", 0..1), ("-5", 8_999_996..9_000_001), ("4194300-4194310", 4_194_300..4_194_311)]
     {
@@ -276,7 +276,7 @@ async fn a_result_that_is_not_made_is_not_found_and_one_that_is_damaged_or_gone_
     assert_eq!((answer.status, answer.code().as_str()), (404, "lost"));
     assert!(answer.header("content-disposition").is_empty(), "an error is not kept as an image");
     assert_eq!(server.lost(), [server.digest("image")]);
-    // Nothing has read the clip since it came in.
+    // Nothing has read the clip since it was stored.
     objects.delete(&place(&server.digest("clip"))).await.expect("removed");
     let answer = server.get("7/clip", &["Range: bytes=3-"]).await;
     assert_eq!((answer.status, answer.code().as_str()), (404, "lost"));

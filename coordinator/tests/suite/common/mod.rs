@@ -1,5 +1,5 @@
 //! A network that fails where a test wants it to.
-#![allow(dead_code)] // every test file uses its own part of this
+#![allow(dead_code)] // each test file uses only a part of this module
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -10,16 +10,16 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
 
-/// When a connection breaks.
+/// Point at which a connection breaks.
 #[derive(Debug, Clone, Copy)]
 pub enum Cut {
-    /// After so many bytes from client to server.
+    /// After this many bytes from client to server.
     Up(u64),
-    /// After so many bytes from server to client.
+    /// After this many bytes from server to client.
     Down(u64),
 }
 
-/// What went through a [`Proxy`].
+/// Traffic through a [`Proxy`].
 #[derive(Debug, Default)]
 pub struct Seen {
     up: AtomicU64,
@@ -28,23 +28,23 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// Bytes from clients to the server, on all connections.
+    /// Returns the bytes from clients to the server, on all connections.
     pub fn up(&self) -> u64 {
         self.up.load(Ordering::SeqCst)
     }
 
-    /// Bytes from the server to clients, on all connections.
+    /// Returns the bytes from the server to clients, on all connections.
     pub fn down(&self) -> u64 {
         self.down.load(Ordering::SeqCst)
     }
 
-    /// Connections that were cut.
+    /// Returns the number of connections that were cut.
     pub fn cuts(&self) -> usize {
         self.cuts.load(Ordering::SeqCst)
     }
 }
 
-/// Between clients and a server: its first connection breaks at the first cut, its second at the second, and so on.
+/// A proxy between clients and a server. Its first connection breaks at the first cut, its second at the second, and so on.
 pub struct Proxy {
     pub url: String,
     pub seen: Arc<Seen>,
@@ -75,7 +75,7 @@ async fn connection(client: TcpStream, server: SocketAddr, cut: Option<Cut>, see
         Some(Cut::Down(bytes)) => (u64::MAX, bytes),
         None => (u64::MAX, u64::MAX),
     };
-    // Whichever ends first ends the connection in both directions.
+    // The direction that ends first ends the connection in both directions.
     let is_cut = tokio::select! {
         is_cut = pump(from_client, to_server, up, &seen.up) => is_cut,
         is_cut = pump(from_server, to_client, down, &seen.down) => is_cut,
@@ -83,7 +83,7 @@ async fn connection(client: TcpStream, server: SocketAddr, cut: Option<Cut>, see
     seen.cuts.fetch_add(usize::from(is_cut), Ordering::SeqCst);
 }
 
-/// Passes bytes on; whether it ended at its limit.
+/// Forwards bytes. Returns whether it ended at its limit.
 async fn pump(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, limit: u64, count: &AtomicU64) -> bool {
     let (mut buffer, mut passed) = (vec![0; 1 << 16], 0);
     while let Ok(read @ 1..) = from.read(&mut buffer).await {

@@ -1,4 +1,4 @@
-//! Whoever is at the other end of a connection on which one says who one is.
+//! Authenticated callers.
 
 use std::fmt;
 
@@ -7,22 +7,22 @@ use femc_trust::{Fingerprint, Holder, Revoked, Role, TokenDigest, Tokens, holder
 
 use super::Shown;
 
-/// Somebody that the farm knows.
+/// An authenticated caller.
 #[derive(Debug, Clone)]
 pub struct Caller {
-    /// Who it is.
+    /// Identity of the caller.
     pub holder: Holder,
-    /// By what it is known.
+    /// Credential that identified the caller.
     pub credential: Credential,
     lists: Lists,
 }
 
-/// What somebody shows.
+/// Kind of credential.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Credential {
-    /// A certificate.
+    /// Fingerprint of a certificate.
     Certificate(Fingerprint),
-    /// A token.
+    /// Digest of a token.
     Token(TokenDigest),
 }
 
@@ -35,7 +35,7 @@ impl fmt::Display for Credential {
     }
 }
 
-/// The lists that say what counts.
+/// Lists that decide which credentials are valid.
 #[derive(Debug, Clone)]
 pub(super) struct Lists {
     pub(super) revoked: Option<Revoked>,
@@ -43,7 +43,7 @@ pub(super) struct Lists {
 }
 
 impl Lists {
-    /// Whose request it is: a token goes first.
+    /// Returns the caller of a request. A token takes precedence over a certificate.
     pub(super) fn caller(&self, shown: Shown<'_>) -> Result<Caller, String> {
         let caller = |(holder, credential)| Caller { holder, credential, lists: self.clone() };
         if let Some(token) = shown.token {
@@ -63,7 +63,7 @@ impl Lists {
 }
 
 impl Caller {
-    /// Whether what it showed still counts.
+    /// Returns whether the credential is still valid.
     pub fn still_counts(&self) -> bool {
         match &self.credential {
             Credential::Certificate(own) => !self.lists.revoked.as_ref().is_some_and(|revoked| revoked.holds(own)),
@@ -74,7 +74,7 @@ impl Caller {
         }
     }
 
-    /// Its role, if it is a user.
+    /// Returns the role, if the caller is a user.
     pub fn role(&self) -> Option<Role> {
         match &self.holder {
             Holder::User { role, .. } => Some(*role),
@@ -82,17 +82,17 @@ impl Caller {
         }
     }
 
-    /// The refusal of whoever counts no more.
+    /// Returns the refusal for a revoked credential.
     pub fn revoked(&self) -> Refusal {
         self.forbidden("an identity that was not revoked")
     }
 
-    /// The refusal of what takes more.
+    /// Returns the refusal for an operation that needs the right `takes`.
     pub fn forbidden(&self, takes: impl Into<String>) -> Refusal {
         Refusal::Forbidden { who: self.holder.to_string(), takes: takes.into() }
     }
 
-    /// Refuses to steer what belongs to `owner`: a submitter steers jobs of its own, others need an operator.
+    /// Checks that the caller may control a job of `owner`. Submitters may control their own jobs; other jobs need an operator.
     pub fn may_steer(&self, owner: &str) -> Result<(), Refusal> {
         match &self.holder {
             Holder::User { role: Role::Operator | Role::Admin, .. } => Ok(()),

@@ -1,51 +1,54 @@
-//! What a server lets its peers have.
+//! Resource limits of a server.
 
 use std::time::Duration;
 
-/// How much one peer, and all of them, may have at a time. Beyond each there is a clear refusal, or a closed connection where
-/// nobody has been introduced yet; none costs memory without bound.
+/// Limits per peer, and for all peers together. Beyond a limit the server answers with a clear refusal, or closes the connection if
+/// the peer is not authenticated yet. No limit can be exceeded at the cost of unbounded memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Most bytes of a message of the services `Jobs` and `Workers`: 8 MiB. Of `Artifacts` it is two pieces.
+    /// Maximum size in bytes of a message of the services `Jobs` and `Workers`: 8 MiB. For `Artifacts` the limit is two pieces.
     pub message: usize,
-    /// Most bytes of a call's headers: 16 KiB.
+    /// Maximum size in bytes of a call's headers: 16 KiB.
     pub headers: u32,
-    /// Connections in all: 4096.
+    /// Maximum number of connections in total: 4096.
     pub connections: usize,
-    /// Connections of one address, or of one IPv6 network of 64 bits: 512.
+    /// Maximum number of connections from one address, or from one IPv6 network of 64 bits: 512.
     pub connections_of_one: usize,
-    /// From connecting to the first call that is allowed, with all handshakes: 10 s.
+    /// Time from the connection to the first permitted call, including all handshakes: 10 s.
     pub introduction: Duration,
-    /// Who is silent for so long is asked for a sign of life: 10 s.
+    /// Silence after which a peer is asked for a keep-alive: 10 s.
     pub silence: Duration,
-    /// And has so long for the answer: 10 s.
+    /// Time limit for the answer to a keep-alive request: 10 s.
     pub answer: Duration,
-    /// A connection on which nothing passes for so long is closed: 60 s. HTTP/2 has signs of life, HTTP/1 and who does not read have none.
+    /// Time after which a connection without traffic is closed: 60 s. HTTP/2 has keep-alives; HTTP/1, and clients that do not read,
+    /// have none.
     pub idle: Duration,
-    /// Calls that are open on one connection: 256.
+    /// Maximum number of open calls on one connection: 256.
     pub streams: u32,
-    /// Calls that a connection may begin and take back before they have been looked at: 32; then it is closed.
+    /// Maximum number of calls that a connection may start and reset before they are processed: 32. Beyond it, the connection is
+    /// closed.
     pub resets: usize,
-    /// A request must be whole within this time, and an upload must get on: 30 s.
+    /// Time in which a request must be complete, and an upload must make progress: 30 s.
     pub patience: Duration,
-    /// Bytes of a call that may be on their way before it reads them: 4 MiB.
+    /// Flow-control window of a call in bytes: 4 MiB may be in flight before the call reads them.
     pub stream_window: u32,
-    /// The same of a connection: 16 MiB.
+    /// Flow-control window of a connection in bytes: 16 MiB.
     pub connection_window: u32,
-    /// Calls a second of one caller, on average: 10 000. What comes faster waits its turn, up to a second, and is refused beyond.
+    /// Average calls per second of one caller: 10 000. Faster calls are delayed by up to a second, and refused beyond that.
     pub rate: u32,
-    /// Calls that one caller may make at once: 10 000.
+    /// Number of calls that one caller may make at once: 10 000.
     pub burst: u32,
-    /// Uploads and downloads at a time, each of which may have 8 MiB in memory: 128. Others wait.
+    /// Maximum number of concurrent uploads and downloads: 128. Each may use 8 MiB of memory. Others wait.
     pub transfers: usize,
-    /// Of one caller: 48.
+    /// Maximum number of concurrent transfers of one caller: 48.
     pub transfers_of_caller: usize,
-    /// On one connection: 16. A machine that stops holds up these until its connection is given up, and no other of its owner's.
+    /// Maximum number of concurrent transfers on one connection: 16. A stalled machine blocks only these until its connection is
+    /// closed, and does not block the other machines of its owner.
     pub transfers_of_connection: usize,
 }
 
 impl Limits {
-    /// Most bytes of a message of the services `Jobs` and `Workers`, by default.
+    /// Default of [`Self::message`]: the maximum size in bytes of a message of the services `Jobs` and `Workers`.
     pub const MESSAGE: usize = 8 << 20;
 }
 

@@ -1,4 +1,4 @@
-//! Who may ask for what, and how often: the same for every way that leads to the farm.
+//! Access control: who may call which operation, and how often. The rules are the same for all protocols.
 
 mod caller;
 mod limits;
@@ -22,41 +22,41 @@ pub use places::{Place, Places};
 use rate::Rates;
 pub use trail::{Outcome, Trail};
 
-/// Who a caller is for the limits.
+/// Identity of a caller for the limits.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Who {
-    /// Of a certificate or token, or the address where nobody is asked; `None`: not even that is known.
+    /// Name of a certificate or a token, or the address if the farm does not authenticate. `None`: not even the address is known.
     pub name: Option<String>,
-    /// The connection's number.
+    /// Number of the connection.
     pub connection: u64,
 }
 
-/// What somebody shows of himself with a request.
+/// Credentials and address of a request.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Shown<'a> {
-    /// The token, as text; it goes first. An empty one is a wrong one.
+    /// Token, as text. It takes precedence. An empty token is invalid.
     pub token: Option<&'a str>,
-    /// The certificate of the connection.
+    /// Certificate of the connection.
     pub certificate: Option<&'a CertificateDer<'a>>,
-    /// The address, without the port.
+    /// Address without the port.
     pub place: Option<&'a str>,
 }
 
-/// A request that may pass.
+/// A permitted request.
 #[derive(Debug, Clone, Default)]
 pub struct Granted {
-    /// Whose it is; `None`: nobody is asked, or the operation is for everybody.
+    /// Caller. `None`: the farm does not authenticate, or the operation is public.
     pub caller: Option<Arc<Caller>>,
-    /// Whose it is for the limits.
+    /// Name of the caller for the limits.
     pub name: Option<String>,
-    /// It came so much too early.
+    /// Time to wait before the request runs, because of the rate limit.
     pub wait: Duration,
 }
 
-/// Stands before all operations; clones share what they count.
+/// Access check in front of all operations. Clones share the counters.
 #[derive(Debug, Clone)]
 pub struct Gate {
-    /// `None`: whoever reaches the address may do everything.
+    /// `None`: the farm does not authenticate, and everyone who can reach the address may do everything.
     lists: Option<Lists>,
     rates: Rates,
     audit: Option<Audit>,
@@ -64,34 +64,34 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// For a farm that asks who somebody is, if there are `lists` of it: identities that count no more, and tokens.
+    /// Makes a gate. With `lists` (revoked identities, and tokens) the farm authenticates callers.
     pub fn new(lists: Option<(Option<Revoked>, Option<Tokens>)>, limits: Limits, audit: Option<Audit>) -> Self {
         let lists = lists.map(|(revoked, tokens)| Lists { revoked, tokens });
         Self { lists, rates: Rates::new(&limits), audit, limits }
     }
 
-    /// Whether it asks who somebody is.
+    /// Returns whether the farm authenticates callers.
     pub fn asks(&self) -> bool {
         self.lists.is_some()
     }
 
-    /// The limits of a request.
+    /// Returns the limits.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// Where changes and refusals are noted.
+    /// Returns the audit log, which records changes and refusals.
     pub fn audit(&self) -> Option<&Audit> {
         self.audit.as_ref()
     }
 
-    /// What the request leaves in the record.
-    /// - `path`: its name there, where the operation has none.
+    /// Starts the audit entry of a request.
+    /// - `path`: name of the request in the entry, if the operation has no name.
     pub fn trail(&self, operation: Operation, path: &str, from: Option<String>) -> Trail {
         self.audit.as_ref().map_or_else(Trail::default, |_| Trail::new(operation, path, from))
     }
 
-    /// Lets somebody through, or says why not.
+    /// Authenticates and authorizes a request, and applies the rate limit.
     pub fn check(&self, operation: Operation, shown: Shown<'_>, trail: &Trail) -> Result<Granted, Refusal> {
         let right = operation.right();
         let place = shown.place.map(str::to_owned);
@@ -102,7 +102,7 @@ impl Gate {
             let wait = self.turn(place.as_deref())?;
             return Ok(Granted { caller: None, name: place, wait });
         };
-        // Whoever guesses is counted by address.
+        // Failed authentications count against the address.
         let caller = lists.caller(shown).or_else(|message| {
             self.turn(place.as_deref())?;
             Err(Refusal::Unauthenticated { message })
@@ -117,20 +117,20 @@ impl Gate {
         Ok(Granted { caller: Some(Arc::new(caller)), name: Some(name), wait })
     }
 
-    /// Who would be let in with this token.
+    /// Returns the caller that this token would authenticate.
     pub fn holder(&self, token: &str) -> Result<Caller, Refusal> {
         let unknown = |message: String| Refusal::Unauthenticated { message };
         let lists = self.lists.as_ref().ok_or_else(|| unknown("this coordinator asks nobody who he is".into()))?;
         lists.caller(Shown { token: Some(token), ..Shown::default() }).map_err(unknown)
     }
 
-    /// When a request that asks for nothing there is may be answered.
-    /// - `place`: the address that it came from, without the port.
+    /// Applies the rate limit to a request without a route, and returns the time to wait.
+    /// - `place`: address of the client, without the port.
     pub fn pace(&self, place: Option<&str>) -> Result<Duration, Refusal> {
         self.turn(place)
     }
 
-    /// When a request is this caller's turn.
+    /// Applies the rate limit to a caller, and returns the time to wait.
     fn turn(&self, name: Option<&str>) -> Result<Duration, Refusal> {
         let Some(name) = name else { return Ok(Duration::ZERO) };
         let too_many =

@@ -1,5 +1,5 @@
-//! Transfers at a time: each may have some megabytes in memory, so there are only so many. The others wait, which costs nothing but
-//! their streams.
+//! Limits on concurrent transfers. A transfer may use some megabytes of memory, so their number is limited. Other transfers wait,
+//! which costs only their streams.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,12 +8,12 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::{Limits, Who};
 
-/// Places for uploads and downloads; clones share them.
+/// Slots for uploads and downloads. Clones share them.
 #[derive(Debug, Clone)]
 pub struct Places {
     limits: Limits,
     all: Arc<Semaphore>,
-    /// Of each that has some in use.
+    /// Slots of each owner that has some in use.
     of: Arc<Mutex<BTreeMap<Owner, Arc<Semaphore>>>>,
 }
 
@@ -23,33 +23,34 @@ enum Owner {
     Caller(String),
 }
 
-/// The right to a transfer, until dropped.
+/// A slot for a transfer, held until dropped.
 #[derive(Debug)]
 pub struct Place(#[expect(dead_code, reason = "they are held")] Vec<OwnedSemaphorePermit>);
 
 impl Places {
-    /// As many as the limits have.
+    /// Makes as many slots as the limits permit.
     pub fn new(limits: &Limits) -> Self {
         Self { limits: *limits, all: Arc::new(Semaphore::new(limits.transfers)), of: Arc::default() }
     }
 
-    /// Waits until there is one: first for one of the caller's own, so that who has many does not keep the others waiting.
+    /// Waits for a slot: first for one of the connection and the caller, then for one of all. So a caller with many transfers does
+    /// not delay other callers.
     pub async fn take(&self, who: Who) -> Place {
         let Limits { transfers_of_connection, transfers_of_caller, .. } = self.limits;
         let own = self.of(Owner::Connection(who.connection), transfers_of_connection);
         let callers = who.name.map(|name| self.of(Owner::Caller(name), transfers_of_caller));
         let mut held = Vec::new();
         for places in [Some(own), callers, Some(self.all.clone())].into_iter().flatten() {
-            // They are never closed.
+            // The semaphores are never closed.
             held.extend(places.acquire_owned().await.ok());
         }
         Place(held)
     }
 
     fn of(&self, owner: Owner, most: usize) -> Arc<Semaphore> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
         let mut of = self.of.lock().unwrap_or_else(PoisonError::into_inner);
-        // A permit that is held holds its semaphore.
+        // A held permit keeps its semaphore alive.
         of.retain(|_, places| Arc::strong_count(places) > 1);
         of.entry(owner).or_insert_with(|| Arc::new(Semaphore::new(most))).clone()
     }

@@ -1,4 +1,4 @@
-//! How often one caller may call: a bucket of calls for each, that fills steadily.
+//! Rate limits per caller: a token bucket for each, which refills steadily.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,21 +8,22 @@ use tokio::time::Instant;
 
 use super::Limits;
 
-/// Buckets by caller; clones share them.
+/// Buckets by caller. Clones share them.
 #[derive(Debug, Clone)]
 pub(crate) struct Rates {
-    /// Between two calls, on average.
+    /// Average time between two calls.
     every: Duration,
-    /// So much earlier than that a caller may come.
+    /// Time by which a caller may be ahead of the average rate.
     ahead: Duration,
-    /// When the next call of each would be due at the average rate; who is not here may begin anew.
+    /// Time at which the next call of each caller would be due at the average rate. A caller without an entry starts with a full
+    /// bucket.
     due: Arc<Mutex<BTreeMap<String, Instant>>>,
 }
 
 impl Rates {
-    /// A call that comes too early waits so long at most.
+    /// Maximum wait of a call that is too early.
     const WAITS: Duration = Duration::from_secs(1);
-    /// Callers that are remembered before those are forgotten that have been quiet.
+    /// Number of remembered callers beyond which idle callers are forgotten.
     const CALLERS: usize = 4096;
 
     pub(crate) fn new(limits: &Limits) -> Self {
@@ -30,7 +31,7 @@ impl Rates {
         Self { every, ahead: every * limits.burst, due: Arc::default() }
     }
 
-    /// How long a call waits that comes now; `None`: too many came before.
+    /// Returns how long a call at `now` must wait; `None`: the caller made too many calls.
     pub(crate) fn turn(&self, caller: &str, now: Instant) -> Option<Duration> {
         let mut all = self.due.lock().unwrap_or_else(PoisonError::into_inner);
         if all.len() >= Self::CALLERS && !all.contains_key(caller) {

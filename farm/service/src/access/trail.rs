@@ -1,4 +1,4 @@
-//! What a request leaves in the audit record.
+//! Audit entry of a request.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,7 +8,7 @@ use femc_trust::{Audit, AuditEvent};
 use super::Caller;
 use crate::operation::Operation;
 
-/// Filled in on the way through a request; empty where there is no record.
+/// Audit entry, filled in while the request is processed. Empty if there is no audit log.
 #[derive(Debug, Clone, Default)]
 pub struct Trail(Option<Arc<Mutex<Entry>>>);
 
@@ -16,26 +16,26 @@ pub struct Trail(Option<Arc<Mutex<Entry>>>);
 struct Entry {
     operation: Operation,
     event: AuditEvent,
-    /// Its parts have lines of their own.
+    /// Whether parts of the request have entries of their own.
     is_told: bool,
 }
 
-/// How a request ended.
+/// Outcome of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
-    /// It was done.
+    /// The request succeeded.
     Done,
-    /// It was refused for want of a right, of a known identity, or because of a limit.
+    /// The request was refused: a right or a valid identity is missing, or a limit is exceeded.
     Refused,
-    /// It was not done for another reason.
+    /// The request failed for another reason.
     Failed,
 }
 
 impl Trail {
-    /// Most characters of a text from outside.
+    /// Maximum number of characters of a text from a client.
     const LONGEST: usize = 200;
 
-    /// Of the request `path` from `from`.
+    /// Starts the entry of the request `path` from `from`.
     pub(super) fn new(operation: Operation, path: &str, from: Option<String>) -> Self {
         let call = match operation {
             Operation::Other | Operation::Health => cut(path),
@@ -47,32 +47,32 @@ impl Trail {
 
     fn with(&self, change: impl FnOnce(&mut AuditEvent)) {
         if let Some(event) = &self.0 {
-            // A panic within the few lines under this lock leaves nothing half done.
+            // A poisoned lock is safe to use: a panic in the few lines under it leaves no partial change.
             change(&mut event.lock().unwrap_or_else(PoisonError::into_inner).event);
         }
     }
 
-    /// Holder and credential of the caller.
+    /// Sets the holder and the credential of the caller.
     pub fn caller(&self, caller: &Caller) {
         self.with(|event| (event.who, event.by) = (caller.holder.to_string(), Some(caller.credential.to_string())));
     }
 
-    /// Nobody is asked who he is.
+    /// Notes that the farm does not authenticate.
     pub fn anybody(&self) {
         self.with(|event| event.who = "anybody".into());
     }
 
-    /// What the request asks for.
+    /// Sets the action that the request asks for.
     pub fn what(&self, what: &str) {
         self.with(|event| event.what = Some(cut(what)));
     }
 
-    /// Which job it is about.
+    /// Sets the job of the request.
     pub fn job(&self, JobId(job): JobId) {
         self.with(|event| event.job = Some(job));
     }
 
-    /// A line of its own for a part of the request; the request as a whole gets none then, unless it is refused.
+    /// Starts a separate entry for a part of the request. The request itself then gets no entry, unless it is refused.
     pub fn part(&self) -> Self {
         let Some(event) = &self.0 else { return Self(None) };
         let mut entry = event.lock().unwrap_or_else(PoisonError::into_inner);
@@ -81,9 +81,9 @@ impl Trail {
         Self(Some(Arc::new(Mutex::new(part))))
     }
 
-    /// Notes it, if it is a change or was refused.
-    /// - `code`: of the refusal or the error, in one word.
-    /// - `why`: what its message said.
+    /// Writes the entry, if the operation is a change or was refused.
+    /// - `code`: the refusal or the error, in one word.
+    /// - `why`: its message.
     pub fn end(&self, audit: &Audit, outcome: Outcome, code: &str, why: &str) {
         let Some(event) = &self.0 else { return };
         let entry = event.lock().unwrap_or_else(PoisonError::into_inner).clone();
@@ -94,7 +94,7 @@ impl Trail {
         ended.outcome = if outcome == Outcome::Done { "ok".into() } else { code.to_owned() };
         ended.why = Some(cut(why)).filter(|why| outcome != Outcome::Done && !why.is_empty());
         if outcome == Outcome::Refused {
-            // Whoever tries from port after port tries again and again.
+            // Refusals are counted per address, without the port, so that a client cannot avoid this with new ports.
             ended.from = ended.from.map(|from| from.rsplit_once(':').map_or(from.clone(), |(ip, _)| ip.to_owned()));
             audit.refused(ended);
         } else {

@@ -1,59 +1,59 @@
-//! The columns of rows: one list for people's tables and every file.
+//! Columns of rows. Tables for display and all files use the same list.
 
 use super::row::{By, Row};
 
-/// A value in a column; `Gap`: there is none.
+/// Value in a column; `Gap`: no value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell {
-    /// Of a [`Kind::Text`] column.
+    /// Value of a [`Kind::Text`] column.
     Text(String),
-    /// Of a column of whole numbers.
+    /// Value of a column of whole numbers.
     Count(u64),
-    /// Of the others.
+    /// Value of a column of any other kind.
     Real(f64),
-    /// Nothing.
+    /// No value.
     Gap,
 }
 
-/// What a column holds.
+/// Kind of the values of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Words.
+    /// Text.
     Text,
-    /// Whole numbers: how many, or which.
+    /// Whole numbers: counts or indices.
     Count,
-    /// Whole numbers: of bytes.
+    /// Whole numbers: bytes.
     Bytes,
     /// Seconds.
     Seconds,
-    /// A share of one.
+    /// Fraction of one.
     Share,
     /// Other numbers.
     Number,
 }
 
-/// Who reads a column.
+/// Audience of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reader {
-    /// People and programs.
+    /// Users and programs.
     Anybody,
-    /// Programs.
+    /// Programs only.
     Programs,
-    /// Programs; people where rows differ in it.
+    /// Programs; also users, if the rows differ in the column.
     WhoCompares,
 }
 
-/// One column of rows.
+/// A column of rows.
 pub struct Column<R = Row> {
-    /// As programs name it, with its unit.
+    /// Name for programs, with the unit.
     pub name: &'static str,
-    /// As people read it.
+    /// Title for users.
     pub title: &'static str,
     /// Kind of its values.
     pub kind: Kind,
-    /// For whom it is.
+    /// Audience of the column.
     pub reader: Reader,
-    /// A row's value.
+    /// Returns the value of a row.
     pub of: fn(&R) -> Cell,
 }
 
@@ -77,7 +77,7 @@ impl From<Option<u64>> for Cell {
     }
 }
 
-/// A column.
+/// Makes a column.
 pub const fn column<R>(
     name: &'static str,
     title: &'static str,
@@ -88,7 +88,7 @@ pub const fn column<R>(
     Column { name, title, kind, reader, of }
 }
 
-/// Columns shown for this grouping.
+/// Returns the columns shown for this grouping.
 pub fn columns(by: By) -> Vec<Column> {
     use Kind::{Bytes, Count, Seconds, Share, Text};
     use Reader::{Anybody, Programs, WhoCompares};

@@ -1,34 +1,34 @@
-//! What a farm recorded of a job.
+//! Recorded attempts of a job.
 
 use femc_model::{AttemptRecord, Cut, JobId, JobSpec, TaskKey};
 use serde::{Deserialize, Serialize};
 
-/// A job and what the attempts at its tasks took.
+/// A job and the attempts at its tasks.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct JobRecord {
-    /// Its number.
+    /// Number of the job.
     pub job: JobId,
-    /// Which run of a sweep asked, in Unix milliseconds; 0 where nothing is kept. Coordinators count their time each for itself.
+    /// Run of a sweep that submitted the job, in Unix milliseconds; 0 if nothing is kept. Each coordinator has its own clock.
     pub run: u64,
-    /// The variant that it renders, of a sweep.
+    /// Variant that the job renders, if it belongs to a sweep.
     pub variant: Option<String>,
     /// Specification of the job, as submitted.
     pub spec: JobSpec,
-    /// How its tiles are cut.
+    /// Division of its tasks into chunks.
     pub cut: Cut,
-    /// Each once, by task and lease.
+    /// Attempts, each once, ordered by task and lease.
     pub attempts: Vec<AttemptRecord>,
-    /// What was written down of those that failed.
+    /// Logs of the failed attempts.
     pub failures: Vec<FailureLog>,
 }
 
-/// A failed attempt's log.
+/// Log of a failed attempt.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FailureLog {
-    /// At this task.
+    /// Task of the attempt.
     pub task: TaskKey,
     /// Name of the worker.
     pub worker: String,
-    /// As it was written.
+    /// Text of the log.
     pub text: String,
 }

@@ -5,7 +5,7 @@ use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 use super::column::{Cell, Column};
 use super::row::Row;
 
-/// An array of an object a row, its keys in the order of the columns.
+/// Array with one object per row. Its keys are in the order of the columns.
 pub struct Json<'a, R = Row>(pub &'a [Column<R>], pub &'a [R]);
 
 impl<R> Serialize for Json<'_, R> {

@@ -1,4 +1,4 @@
-//! What jobs' attempts took: as rows, one an attempt or one of many, as columns of these, and as JSON.
+//! Resource usage of jobs' attempts: rows for one or several attempts, their columns, and their JSON.
 
 mod column;
 mod job_record;

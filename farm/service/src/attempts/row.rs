@@ -1,4 +1,4 @@
-//! Attempts, and what they add up to.
+//! Rows: attempts, and sums over several attempts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,87 +7,88 @@ use femc_model::{AttemptRecord, Ending, Grains, TaskKey, Tick};
 use super::job_record::JobRecord;
 use crate::times::{Span, Sum};
 
-/// What a row is of.
+/// Grouping of the attempts into rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum By {
-    /// A task, with all its attempts.
+    /// One row per task, with all its attempts.
     Task,
-    /// A frame.
+    /// One row per frame.
     Frame,
-    /// A variant of a sweep; of other jobs, a job.
+    /// One row per variant of a sweep, or per job if the job is not part of a sweep.
     Variant,
-    /// A worker's process.
+    /// One row per process of a worker.
     Worker,
-    /// One attempt at a task.
+    /// One row per attempt.
     Attempt,
 }
 
-/// What one attempt took, or several together. Seconds, bytes; times are since the first attempt of all began.
+/// Resources that one attempt, or several together, used. Units are seconds and bytes. Points in time are relative to the start of
+/// the earliest attempt.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
-    /// Index of the job's record among those shown: jobs of two farms may have the same number.
+    /// Index of the job's record among those shown, because jobs of two farms may have the same number.
     pub source: usize,
-    /// Number of the job, of the first of the attempts.
+    /// Number of the job of the first attempt.
     pub job: u64,
-    /// The variant that the job renders, of a sweep.
+    /// Variant that the job renders, if it belongs to a sweep.
     pub variant: Option<String>,
-    /// The task, of the first of the attempts.
+    /// Task of the first attempt.
     pub task: Option<TaskKey>,
-    /// Number of the tile in the grid, of tasks of the main stage.
+    /// Number of the tile in the grid, for tasks of the main stage.
     pub tile: Option<u32>,
-    /// Which attempt at its task, from 1; of several the last.
+    /// Number of the attempt at its task, from 1. For several attempts, the greatest.
     pub attempt: u64,
-    /// Epoch of the lease, of the first of the attempts.
+    /// Epoch of the lease of the first attempt.
     pub epoch: u64,
-    /// The worker of the result that counts, else of the last attempt.
+    /// Worker of the result that counts, or of the last attempt if there is none.
     pub worker: String,
-    /// Its process.
+    /// Process of the worker.
     pub instance: u64,
-    /// How it ended; of several, the best end.
+    /// Ending of the attempt. For several attempts, the best ending.
     pub ending: Option<Ending>,
-    /// Tasks.
+    /// Number of tasks.
     pub tasks: u64,
-    /// Attempts.
+    /// Number of attempts.
     pub attempts: u64,
-    /// Of these, those whose result counts.
+    /// Number of attempts whose result counts.
     pub done: u64,
-    /// Of these, those that failed.
+    /// Number of attempts that failed.
     pub failed: u64,
-    /// Workers.
+    /// Number of workers.
     pub workers: u64,
-    /// Begin of the first attempt, in seconds since the run began.
+    /// Start of the first attempt, in seconds since the run began.
     pub began: f64,
     /// End of the last attempt, in seconds since the run began.
     pub ended: f64,
-    /// Between arrival and beginning.
+    /// Seconds between arrival and start.
     pub wait: f64,
-    /// Between the first lease and the end of the last one, while no attempt ran; see [`femc_model::Times::waiting`].
+    /// Seconds without a running attempt, from the first lease to the end of the last one; see [`femc_model::Times::waiting`].
     pub waiting: f64,
-    /// From the beginning to the result.
+    /// Seconds from the start to the result.
     pub wall: f64,
-    /// Of these, until the inputs were ready.
+    /// Part of `wall` until the inputs were ready.
     pub preparation: f64,
-    /// Processor time.
+    /// Processor seconds.
     pub cpu: f64,
-    /// Most memory of the worker's process.
+    /// Peak memory of the worker's process in bytes.
     pub peak: Option<u64>,
-    /// Pixel samples of results that count.
+    /// Number of pixel samples in results that count.
     pub samples: u64,
-    /// Pixel samples taken.
+    /// Number of pixel samples taken.
     pub taken: u64,
-    /// Rays traced.
+    /// Number of rays traced.
     pub rays: u64,
     /// Bytes fetched.
     pub fetched: u64,
-    /// Bytes brought home.
+    /// Bytes uploaded.
     pub sent: u64,
-    /// Relative error that was measured last.
+    /// Last measured relative error.
     pub relative_error: Option<f64>,
 }
 
 impl Row {
-    /// Of one attempt.
-    /// - `zero`: when the first attempt of all began.
+    /// Makes the row of one attempt.
+    /// - `zero`: start of the earliest attempt.
     fn of(record: &AttemptRecord, source: usize, job: &JobRecord, attempt: u64, zero: f64) -> Self {
         let usage = record.usage.unwrap_or_default();
         let began = began(record);
@@ -128,7 +129,7 @@ impl Row {
         }
     }
 
-    /// Both together; the tasks and workers of both are told apart by who calls this.
+    /// Adds another row. The caller counts distinct workers.
     fn add(&mut self, other: &Self) {
         if other.ending >= self.ending {
             (self.worker, self.instance, self.ending) = (other.worker.clone(), other.instance, other.ending);
@@ -160,20 +161,20 @@ fn seconds(tick: Tick) -> f64 {
     tick.0 as f64 / 1000.0
 }
 
-/// When an attempt began, in seconds of the coordinator: after its lease was granted and it had waited; a lease that was
-/// handed over says a later time than that.
+/// Returns the start of an attempt in seconds of the coordinator's clock: the time of its lease plus its wait. If the lease was
+/// handed over, its time may be too late; then the end minus the wall time is used.
 fn began(record: &AttemptRecord) -> f64 {
     let (wait, wall) = record.usage.map_or((0.0, 0.0), |usage| (usage.wait, usage.wall));
     (seconds(record.granted) + wait).min(seconds(record.ended) - wall)
 }
 
-/// One row for each task, frame, variant, worker or attempt, in their order.
+/// Returns one row for each task, frame, variant, worker or attempt, in their order.
 pub fn rows(jobs: &[JobRecord], by: By) -> Vec<Row> {
     rows_since(jobs, by, &zeros(jobs))
 }
 
-/// The rows of some of a job's attempts, an attempt each. Their times are the coordinator's own; the numbers of the attempts at a
-/// task count within these.
+/// Returns the rows of one page of a job's attempts, one row per attempt. Times are those of the coordinator. Attempts are numbered
+/// per task within this page.
 pub fn rows_of_page(job: JobRecord) -> Vec<Row> {
     rows_since(&[job], By::Attempt, &BTreeMap::new())
 }
@@ -201,7 +202,7 @@ fn rows_since(jobs: &[JobRecord], by: By, zeros: &BTreeMap<u64, f64>) -> Vec<Row
     }
 }
 
-/// What is the beginning, by each run's clock: runs come one after the other, without what was between them.
+/// Returns the zero point of each run, by that run's clock. Runs follow each other without the gaps between them.
 fn zeros(jobs: &[JobRecord]) -> BTreeMap<u64, f64> {
     let mut runs: BTreeMap<u64, (f64, f64)> = BTreeMap::new();
     for job in jobs {

@@ -1,4 +1,4 @@
-//! Responses, and what every one of them says to browsers.
+//! Responses, and the headers that protect all of them in browsers.
 
 use std::convert::Infallible;
 use std::io;
@@ -16,15 +16,16 @@ use http_body_util::combinators::UnsyncBoxBody;
 use http_body_util::{BodyExt as _, Full, StreamBody};
 use serde::Serialize;
 
-/// What a response brings.
+/// Body of a response.
 pub type Body = UnsyncBoxBody<Bytes, io::Error>;
 
-/// Scripts, styles and pictures come from the coordinator alone, none from within the page; nobody shows it in a frame.
+/// Scripts, styles and images come from the coordinator only. Inline scripts and styles are forbidden, and no site may embed the
+/// page in a frame.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
     media-src 'self'; connect-src 'self'; font-src 'self'; worker-src 'self'; manifest-src 'self'; form-action 'self'; base-uri 'none'; \
     frame-ancestors 'none'";
 
-/// What every response says.
+/// Adds the headers that every response has.
 pub(super) fn protect(response: &mut Response<Body>) {
     let headers = response.headers_mut();
     for (name, value) in [
@@ -40,7 +41,7 @@ pub(super) fn protect(response: &mut Response<Body>) {
     headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
 }
 
-/// These bytes, of this type.
+/// Makes a response with these bytes and this media type.
 pub(super) fn bytes(status: StatusCode, kind: &'static str, bytes: impl Into<Bytes>) -> Response<Body> {
     let mut response = Response::new(full(bytes.into()));
     *response.status_mut() = status;
@@ -48,9 +49,9 @@ pub(super) fn bytes(status: StatusCode, kind: &'static str, bytes: impl Into<Byt
     response
 }
 
-/// The same of what is large: `held` is dropped when all of it is sent, or the client is gone.
+/// Like [`bytes()`], for large content: `held` is dropped when all bytes are sent or the client has disconnected.
 pub(super) fn large<T: Send + 'static>(kind: &'static str, bytes: Bytes, held: T) -> Response<Body> {
-    /// Bytes that are handed on at a time.
+    /// Maximum size in bytes of a piece of the body.
     const PIECE: usize = 256 << 10;
     let length = bytes.len();
     let pieces = unfold((bytes, held), |(mut rest, held)| async move {
@@ -67,9 +68,9 @@ pub(super) fn large<T: Send + 'static>(kind: &'static str, bytes: Bytes, held: T
     response
 }
 
-/// A body that is sent piece by piece. An error within it breaks the connection or the stream off, so that the client does not take
-/// a part for the whole.
-/// - `length`: bytes of all pieces.
+/// Makes a response whose body is sent piece by piece. An error in it aborts the connection or the stream, so that the client does
+/// not take a part for the whole.
+/// - `length`: total number of bytes.
 pub(super) fn stream(
     status: StatusCode,
     length: u64,
@@ -85,19 +86,19 @@ fn full(bytes: Bytes) -> Body {
     Full::new(bytes).map_err(|never| match never {}).boxed_unsync()
 }
 
-/// Without a body.
+/// Makes a response without a body.
 pub(super) fn empty(status: StatusCode) -> Response<Body> {
     let mut response = Response::new(full(Bytes::new()));
     *response.status_mut() = status;
     response
 }
 
-/// As JSON.
+/// Makes a JSON response.
 pub(super) fn json<T: Serialize>(value: &T) -> Response<Body> {
     json_with(StatusCode::OK, value)
 }
 
-/// The same with another status.
+/// Makes a JSON response with this status.
 pub(super) fn json_with<T: Serialize>(status: StatusCode, value: &T) -> Response<Body> {
     match serde_json::to_vec(value) {
         Ok(text) => bytes(status, "application/json", text),
@@ -105,7 +106,7 @@ pub(super) fn json_with<T: Serialize>(status: StatusCode, value: &T) -> Response
     }
 }
 
-/// A page with nothing but a message, for people whose browser shows it.
+/// Makes a page that shows only a message, for users with a browser.
 pub(super) fn message(status: StatusCode, message: &str, help: &str) -> Response<Body> {
     let page = format!(
         "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>femc</title>\n<h1>femc</h1>\n<p>{}</p>\n<p>{}</p>\n\
@@ -116,12 +117,12 @@ pub(super) fn message(status: StatusCode, message: &str, help: &str) -> Response
     bytes(status, "text/html; charset=utf-8", page)
 }
 
-/// Text within HTML.
+/// Escapes text for HTML.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Server-sent events.
+/// Makes a response of server-sent events.
 pub(super) fn events(events: impl Stream<Item = Result<Bytes, Infallible>> + Send + 'static) -> Response<Body> {
     let body = StreamBody::new(events.map(|event| event.map(Frame::data).map_err(|never| match never {})));
     let mut response = Response::new(body.boxed_unsync());

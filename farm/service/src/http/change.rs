@@ -1,5 +1,5 @@
-//! What changes something: steering jobs, draining workers. Each job, each worker is done for itself; what is refused is told beside
-//! what is done, and has a line of its own in the record.
+//! Requests that change the farm: controlling jobs and draining workers. Each job or worker of a request is processed separately.
+//! The response lists refused ones beside successful ones, and each has its own line in the audit log.
 
 use ::http::Response;
 use femc_model::{Control, Drain, JobId, Refusal, WorkerId, WorkerName};
@@ -11,14 +11,14 @@ use super::fault::{self, Fault};
 use crate::access::{Caller, Outcome, Trail};
 use crate::call::Call;
 
-/// What is done to jobs, as JSON.
+/// Action on jobs, as JSON.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ControlJson {
     jobs: Vec<u64>,
     action: Action,
     priority: Option<u8>,
-    /// Numbers of frames, to which the retry is limited.
+    /// Frame numbers to which a retry is limited.
     frames: Option<Vec<u32>>,
 }
 
@@ -33,7 +33,7 @@ enum Action {
     Delete,
 }
 
-/// What is done to workers, as JSON.
+/// Action on workers, as JSON.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DrainJson {
@@ -41,7 +41,7 @@ struct DrainJson {
     action: DrainAction,
 }
 
-/// A worker by its number or its name.
+/// A worker, by number or name.
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum WorkerRef {
@@ -56,7 +56,7 @@ enum DrainAction {
     Undo,
 }
 
-/// What came of it.
+/// Result of the actions.
 #[derive(Serialize)]
 struct Changed<T, R> {
     done: Vec<T>,
@@ -77,11 +77,11 @@ struct RefusedWorker {
     message: String,
 }
 
-/// Most jobs or workers of a request.
+/// Maximum number of jobs or workers in a request.
 const MOST: usize = 1000;
 
 impl<S: Send + 'static> Http<S> {
-    /// Steers jobs.
+    /// Controls jobs.
     pub(super) async fn control(
         &self,
         json: &[u8],
@@ -119,7 +119,7 @@ impl<S: Send + 'static> Http<S> {
         Ok(answer::json(&changed))
     }
 
-    /// Drains workers, or ends that.
+    /// Drains workers, or ends the drain.
     pub(super) async fn drain(&self, json: &[u8], trail: &Trail) -> Result<Response<Body>, Fault> {
         let DrainJson { workers, action } = parse(json)?;
         few(workers.len(), "workers")?;
@@ -150,7 +150,7 @@ impl<S: Send + 'static> Http<S> {
         Ok(answer::json(&changed))
     }
 
-    /// Notes what came of a part.
+    /// Writes the audit entry of one part.
     fn told(&self, part: &Trail, refusal: Option<&Refusal>) {
         match refusal {
             None => self.note(part, Outcome::Done, "ok", ""),

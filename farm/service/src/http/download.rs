@@ -1,8 +1,8 @@
-//! Results of jobs as files: whole or in parts, streamed from the store, so that an image of any size takes little memory.
+//! Downloads of job results, whole or in parts. They are streamed from the store, so that an image of any size needs little memory.
 //!
-//! Bytes are read and checked before the first of them is sent, so that a damaged file is answered with an error and not with a
-//! broken download. This reads a file twice; the second time the operating system usually has it in memory. A part that begins
-//! later in the file, as players ask for while they seek, is sent without that check if the file came in or was read lately.
+//! The bytes are read and checked before the first of them is sent, so that a damaged file gives an error response and not a broken
+//! download. This reads a file twice; the second time the operating system usually has it in its cache. A part that starts later in
+//! the file, as players request when they seek, is sent without this check if the file was stored or read recently.
 
 use std::io;
 use std::ops::Range;
@@ -27,7 +27,7 @@ use crate::farm::Farm;
 use crate::file::{File, FrameFile, media};
 use crate::steer::store_refusal;
 
-/// Bytes of a file that tell its media type.
+/// Number of first bytes that determine the media type.
 const HEAD: u64 = 64;
 
 impl<S: Send + 'static> Http<S> {
@@ -47,7 +47,7 @@ impl<S: Send + 'static> Http<S> {
             return Ok(cached(answer::empty(StatusCode::NOT_MODIFIED), &tag));
         }
         let is_head = *asked.method == Method::HEAD;
-        // Ranges are defined for GET alone.
+        // Ranges are defined for GET only.
         let wanted = if is_head { Wanted::Whole } else { range::wanted(asked.headers, artifact.bytes, &tag) };
         let place = self.0.places.take(who).await;
         let is_sound = match &wanted {
@@ -78,7 +78,7 @@ impl<S: Send + 'static> Http<S> {
         } else {
             let (store, farm) = (self.0.store.clone(), self.0.farm.clone());
             let mut sending = Sending { store, farm, artifact, part: part.clone(), block: Bytes::new(), _place: place };
-            // The first block before the status: a file that is gone is answered with an error.
+            // Reads the first block before the status is sent, so that a missing file gives an error response.
             match sending.fill().await {
                 Ok(()) => answer::stream(status, length, pieces(sending)),
                 Err(error) => return Err(self.unreadable(job, file, &artifact, &error).await),
@@ -96,7 +96,7 @@ impl<S: Send + 'static> Http<S> {
         Ok(cached(response, &tag))
     }
 
-    /// Media type and usual extension of a result.
+    /// Returns the media type and the usual extension of a result.
     async fn media(&self, file: File, artifact: &Artifact) -> Result<(&'static str, &'static str), StoreError> {
         match file {
             File::Frame(_, FrameFile::Image | FrameFile::Layers) => Ok(("image/x-exr", "exr")),
@@ -109,7 +109,7 @@ impl<S: Send + 'static> Http<S> {
         }
     }
 
-    /// Explains why a result cannot be read. One that is damaged or gone is made again.
+    /// Explains why a result cannot be read. A damaged or missing result is recreated.
     async fn unreadable(&self, job: JobId, file: File, artifact: &Artifact, error: &StoreError) -> Fault {
         match error {
             StoreError::Missing { .. } | StoreError::Mismatch { .. } => {
@@ -128,7 +128,7 @@ fn is_sound(found: Soundness) -> bool {
     matches!(found, Soundness::Sound(_))
 }
 
-/// Reads an artifact once more and tells the farm if it is not as it should be.
+/// Rereads an artifact, and reports it to the farm if it is damaged or missing.
 async fn report_unless_sound<S>(store: &Store, farm: &Farm<S>, artifact: &Artifact) {
     if matches!(store.verify(&artifact.digest).await, Ok(Soundness::Damaged | Soundness::Missing)) {
         farm.lost(artifact.digest).await;
@@ -137,27 +137,27 @@ async fn report_unless_sound<S>(store: &Store, farm: &Farm<S>, artifact: &Artifa
 
 fn cached(mut response: Response<Body>, tag: &str) -> Response<Body> {
     let headers = response.headers_mut();
-    // A digest in hexadecimal is good for a header.
+    // A hexadecimal digest is always a valid header value.
     headers.extend(HeaderValue::try_from(tag).ok().map(|tag| (ETAG, tag)));
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
     response
 }
 
-/// A file on its way to a client.
+/// A file that is being sent to a client.
 struct Sending<S> {
     store: Store,
     farm: Farm<S>,
     artifact: Artifact,
-    /// The part of it that has not been read.
+    /// Part that has not been read yet.
     part: Range<u64>,
-    /// Bytes that were read and not sent.
+    /// Bytes that were read but not sent yet.
     block: Bytes,
-    /// Held until all is sent, or the client is gone.
+    /// Held until all bytes are sent or the client has disconnected.
     _place: Place,
 }
 
 impl<S> Sending<S> {
-    /// Reads the next block, if all that was read is sent.
+    /// Reads the next block, if all bytes read so far are sent.
     async fn fill(&mut self) -> Result<(), StoreError> {
         if self.block.is_empty() && !self.part.is_empty() {
             let end = self.part.end.min(self.part.start + Store::READ);
@@ -168,9 +168,9 @@ impl<S> Sending<S> {
     }
 }
 
-/// The pieces of a file; the last of them is an error if the rest cannot be read.
+/// Returns the pieces of a file. If the rest cannot be read, the last piece is an error.
 fn pieces<S: Send + 'static>(sending: Sending<S>) -> impl Stream<Item = io::Result<Bytes>> + Send + 'static {
-    /// Bytes that are handed on at a time.
+    /// Maximum size in bytes of a piece of the body.
     const PIECE: usize = 256 << 10;
     unfold(Some(sending), |sending| async {
         let mut sending = sending?;
@@ -185,8 +185,8 @@ fn pieces<S: Send + 'static>(sending: Sending<S>) -> impl Stream<Item = io::Resu
     })
 }
 
-/// A header that has browsers keep the answer under this name (RFC 6266), whatever characters it has: programs that do not know
-/// the second form get one in ASCII.
+/// Returns the header with which browsers save the response under this name (RFC 6266). Any characters are permitted. Programs that
+/// do not know the extended form get a name in ASCII.
 fn disposition(name: &str) -> String {
     let is_plain = |c: char| c == ' ' || (c.is_ascii_graphic() && !matches!(c, '"' | '\\' | '%' | '/'));
     let plain: String = name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect();
@@ -195,7 +195,7 @@ fn disposition(name: &str) -> String {
     }
     let mut encoded = String::new();
     for byte in name.replace(['/', '\\'], "_").bytes() {
-        // Characters that RFC 8187 lets stand for themselves.
+        // Characters that RFC 8187 permits without encoding.
         if byte.is_ascii_alphanumeric() || b"!#$&+-.^_`|~".contains(&byte) {
             encoded.push(char::from(byte));
         } else {

@@ -1,4 +1,4 @@
-//! Why a request is not answered with what it asks for.
+//! Errors of HTTP requests.
 
 use ::http::header::{ACCEPT, ALLOW, CONTENT_RANGE, HeaderValue, RETRY_AFTER};
 use ::http::{Response, StatusCode};
@@ -9,44 +9,44 @@ use super::Asked;
 use super::answer::{self, Body};
 use crate::access::Outcome;
 
-/// What is wrong with a request.
+/// Error of a request.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum Fault {
-    /// The farm, or the gate before it.
+    /// Refusal of the farm or of the gate.
     #[error(transparent)]
     Refused(#[from] Refusal),
-    /// Nothing is there.
+    /// The path does not exist.
     #[error("there is nothing at {path}")]
     Nowhere {
         /// Path of the request.
         path: String,
     },
-    /// The page was left out of this build.
+    /// This build does not include the web page.
     #[error("this coordinator was built without its page")]
     NoPage,
-    /// The path takes another method.
+    /// The path does not support the method.
     #[error("{path} takes {allowed}")]
     Method {
         /// Path of the request.
         path: String,
-        /// What it takes.
+        /// Supported methods.
         allowed: &'static str,
     },
-    /// A parameter, a field or a header makes no sense.
+    /// A parameter, a field or a header is not valid.
     #[error("{field}: {message}")]
     Invalid {
-        /// Name of it.
+        /// Name of the parameter, field or header.
         field: String,
-        /// What is wrong with it.
+        /// Fault of the value.
         message: String,
     },
     /// The request comes from a page of another site.
     #[error("the request comes from a page of {origin}, and not of this coordinator")]
     CrossSite {
-        /// What the browser says of the page.
+        /// Origin of the page, according to the browser.
         origin: String,
     },
-    /// The name under which the coordinator was reached is not its own.
+    /// The request names the coordinator with a host name that is not its own.
     #[error(
         "this coordinator is not reached as {host}: it asks nobody who he is, so it serves its own addresses alone"
     )]
@@ -54,44 +54,44 @@ pub(super) enum Fault {
         /// Host of the request.
         host: String,
     },
-    /// The job does not make this result, or it is not finished.
+    /// The job does not make this result, or the result is not finished.
     #[error("job {job} has no {file}, or it is not finished")]
     NotMade {
         /// The job.
         job: JobId,
-        /// The result.
+        /// Description of the result.
         file: String,
     },
-    /// The store has lost a result.
+    /// A result is damaged or missing in the store.
     #[error("{file} of job {job} was damaged in the farm's store, or is gone")]
     Lost {
         /// The job.
         job: JobId,
-        /// The result.
+        /// Description of the result.
         file: String,
     },
-    /// The part of a file that was asked for begins behind its end.
+    /// The requested range starts past the end of the file.
     #[error("Range: the file has {length} bytes")]
     Range {
-        /// Bytes of the file.
+        /// Size of the file in bytes.
         length: u64,
     },
-    /// A body is too large.
+    /// The body is too large.
     #[error("the body has more than {limit} bytes")]
     TooLarge {
-        /// Bytes.
+        /// Limit in bytes.
         limit: usize,
     },
     /// The headers are too large.
     #[error("the headers have more than {limit} bytes")]
     Headers {
-        /// Bytes, 32 of them for each header beside its name and value.
+        /// Limit in bytes. Each header counts 32 bytes in addition to its name and value.
         limit: u32,
     },
-    /// A body did not come.
+    /// The body cannot be read.
     #[error("the body did not come: {message}")]
     Cut {
-        /// What happened to it.
+        /// Error of the transfer.
         message: String,
     },
 }
@@ -108,7 +108,7 @@ impl Fault {
                 | Refusal::MissingArtifacts { .. }
                 | Refusal::Resume { .. } => StatusCode::CONFLICT,
                 Refusal::Invalid { .. } | Refusal::DigestMismatch { .. } => StatusCode::BAD_REQUEST,
-                // Of the calls that come this way only too many a second are too large.
+                // Over HTTP, this refusal means only that the caller made too many calls per second.
                 Refusal::TooLarge { .. } => StatusCode::TOO_MANY_REQUESTS,
                 Refusal::ArtifactTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
                 Refusal::NoRoom { .. } | Refusal::Unavailable { .. } => StatusCode::SERVICE_UNAVAILABLE,
@@ -126,7 +126,7 @@ impl Fault {
         }
     }
 
-    /// In one word, for programs.
+    /// Returns the error code: one word, for programs.
     pub(super) fn code(&self) -> &'static str {
         match self {
             Self::Refused(refusal) => code(refusal),
@@ -143,7 +143,7 @@ impl Fault {
         }
     }
 
-    /// What to do now.
+    /// Returns advice for the user.
     fn help(&self) -> &'static str {
         match self {
             Self::Refused(refusal) => match refusal {
@@ -185,7 +185,7 @@ impl Fault {
         }
     }
 
-    /// For the audit record.
+    /// Returns the outcome for the audit log.
     pub(super) fn outcome(&self) -> Outcome {
         match self {
             Self::Refused(Refusal::Forbidden { .. } | Refusal::Unauthenticated { .. } | Refusal::TooLarge { .. })
@@ -205,7 +205,7 @@ impl Fault {
         }
     }
 
-    /// As JSON, or as a small page for a browser that shows the answer to a person.
+    /// Makes the response: JSON, or a small page if a browser shows it to a user.
     pub(super) fn response(&self, asked: &Asked<'_>) -> Response<Body> {
         let status = self.status();
         let accepts = asked.headers.get(ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
@@ -230,7 +230,7 @@ impl Fault {
     }
 }
 
-/// The refusal in one word.
+/// Returns the refusal in one word.
 pub(super) fn code(refusal: &Refusal) -> &'static str {
     match refusal {
         Refusal::NoSuchJob { .. } | Refusal::NoSuchWorker { .. } | Refusal::NoSuchArtifact { .. } => "not_found",

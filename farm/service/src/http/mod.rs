@@ -1,8 +1,8 @@
-//! JSON over HTTP, for programs and for the page in a browser.
+//! HTTP interface with JSON, for programs and for the web page.
 //!
-//! A request becomes a [`Route`], which says what [`Operation`](crate::Operation) it is; what belongs to browsers (cookies, other sites'
-//! pages, names that lead elsewhere) is looked at next, then the gate decides as it does for gRPC. Nothing of another site is ever
-//! let in: there are no CORS headers, and what changes something needs a header that a form cannot send.
+//! A request is parsed to a [`Route`], which belongs to an [`Operation`](crate::Operation). The gate then decides as it does for
+//! gRPC. After it, checks that concern browsers run: cookies, pages of other sites, and host names that lead elsewhere. Requests
+//! from other sites are never accepted: there are no CORS headers, and a change needs a header that a form cannot send.
 
 mod answer;
 mod change;
@@ -38,18 +38,18 @@ pub use pages::Files;
 use route::Route;
 pub use visitor::{Introduced, Served, Visitor};
 
-/// What is served beside the farm itself.
+/// Content that is served in addition to the farm itself.
 #[derive(Debug, Clone, Default)]
 pub struct Site {
-    /// The page; without it there is JSON alone.
+    /// Files of the web page. Without them, only JSON is served.
     pub files: Files,
-    /// Build of the engine that this program has, for people.
+    /// Engine build of this program, for display.
     pub engine: String,
-    /// Draws frames; without it there are no pictures.
+    /// Function that draws frames. Without it, no pictures are served.
     pub draw: Option<Draw>,
 }
 
-/// The HTTP side of a farm.
+/// HTTP interface of a farm.
 #[derive(Debug)]
 pub struct Http<S>(Arc<Inner<S>>);
 
@@ -65,7 +65,7 @@ struct Inner<S> {
     feed: Feed<S>,
     store: Store,
     places: Places,
-    /// For those who read pixels: a place is held until all are sent.
+    /// Slots for requests that read pixels. A slot is held until all bytes are sent.
     large: Places,
     pictures: Pictures,
     sorted: LastSorted,
@@ -82,8 +82,8 @@ struct Asked<'a> {
 }
 
 impl Asked<'_> {
-    /// Refuses headers that are larger than the limit, by the sizes of HTTP/2 (RFC 9113, 6.5.2): each counts 32 bytes beside its name
-    /// and value. HTTP/2 refuses them itself, before a request is here.
+    /// Refuses headers that exceed the limit. Sizes are computed as in HTTP/2 (RFC 9113, 6.5.2): each header counts 32 bytes in
+    /// addition to its name and value. Over HTTP/2, the transport refuses such headers before a request arrives here.
     fn within(&self, limit: u32) -> Result<(), Fault> {
         let of_headers = self.headers.iter().map(|(name, value)| name.as_str().len() + value.len() + 32);
         let of_uri = self.uri.path_and_query().map_or(0, |path| path.as_str().len());
@@ -92,9 +92,9 @@ impl Asked<'_> {
 }
 
 impl<S: Send + 'static> Http<S> {
-    /// Of this farm, behind this gate.
-    /// - `places`: for those who read what is large.
-    /// - `is_encrypted`: whether connections are, so that cookies are sent over such alone.
+    /// Makes the interface of a farm behind a gate.
+    /// - `places`: slots for large downloads.
+    /// - `is_encrypted`: whether connections are encrypted. Then cookies are sent over encrypted connections only.
     pub fn new(farm: Farm<S>, store: Store, places: Places, gate: Gate, site: Site, is_encrypted: bool) -> Self {
         let feed = Feed::new(farm.clone());
         let few = Limits { transfers: 4, transfers_of_caller: 2, transfers_of_connection: 2, ..*gate.limits() };
@@ -114,7 +114,7 @@ impl<S: Send + 'static> Http<S> {
         }))
     }
 
-    /// Answers a request, whatever it is. The answer has its [`Operation`] among its extensions, for those who count.
+    /// Answers any request. The response has its [`Operation`] among its extensions, for metrics.
     pub async fn serve<B>(&self, request: Request<B>, visitor: Visitor) -> Response<Body>
     where
         B: http_body::Body<Data = Bytes> + Send,
@@ -127,7 +127,7 @@ impl<S: Send + 'static> Http<S> {
         let operation = route.as_ref().map_or(Operation::Other, Route::operation);
         let trail = self.0.gate.trail(operation, asked.uri.path(), visitor.address.map(|it| it.to_string()));
         let answered = match route {
-            // What is no route is told without asking who wants to know, as often as anybody may ask.
+            // Requests without a route are answered without authentication, subject to the rate limit.
             Err(fault) => Err(self.nowhere(fault, &visitor).await),
             Ok(route) => self.pass(route, &asked, body.as_mut(), &visitor, &trail).await,
         };
@@ -147,15 +147,15 @@ impl<S: Send + 'static> Http<S> {
         response
     }
 
-    /// Reads the rest of a refused request's body and drops it. A client that still sends when the connection or the stream is closed
-    /// sees an error of the transport and not the answer.
+    /// Reads and drops the rest of a refused request's body. If the connection or the stream were closed while the client still
+    /// sends, the client would see a transport error instead of the response.
     async fn discard<B>(&self, asked: &Asked<'_>, mut body: Pin<&mut B>)
     where
         B: http_body::Body<Data = Bytes> + Send,
     {
-        /// Most bytes that are read so; a client that announces more is answered at once.
+        /// Maximum number of bytes read in this way. A client that announces more is answered at once.
         const MOST: usize = 8 << 20;
-        // The client waits for the answer before it sends the body.
+        // The client waits for the response before it sends the body.
         let is_held_back = asked.headers.contains_key(EXPECT);
         if is_held_back || body.size_hint().lower() > MOST as u64 {
             return;
@@ -167,7 +167,7 @@ impl<S: Send + 'static> Http<S> {
                 rest = left;
             }
         };
-        // A client that is slower loses the answer, as any client does whose request is late.
+        // A slower client loses the response, as does any client whose request is late.
         let _ = tokio::time::timeout(self.0.gate.limits().patience, read).await;
     }
 
@@ -182,7 +182,7 @@ impl<S: Send + 'static> Http<S> {
         }
     }
 
-    /// Lets a request through, or not, and does what it asks for.
+    /// Checks a request, and runs it if it is permitted.
     async fn pass<B>(
         &self,
         route: Route,

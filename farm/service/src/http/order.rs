@@ -1,4 +1,4 @@
-//! The order of a job's tasks, by any column of their table.
+//! Sort order of a job's tasks, by any column of their table.
 
 use std::cmp::Ordering;
 use std::fmt::Write as _;
@@ -9,7 +9,7 @@ use std::time::Duration;
 use femc_model::{JobId, TaskFilter, TaskStatus, Times};
 use tokio::time::Instant;
 
-/// A column by which tasks are sorted; its name is that of the field in JSON.
+/// Column by which tasks are sorted. Its name is the name of the JSON field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Column {
     Task,
@@ -42,7 +42,7 @@ impl Column {
         (Self::Failure, "failure"),
     ];
 
-    /// Order of two tasks by this column, and whether each has a value there.
+    /// Compares two tasks by this column. Returns the order, and whether each task has a value in the column.
     fn compare(self, a: &TaskStatus, b: &TaskStatus) -> (Ordering, [bool; 2]) {
         let numbers = |of: fn(&TaskStatus) -> Option<f64>| {
             let [x, y] = [of(a), of(b)];
@@ -73,14 +73,14 @@ impl Column {
     }
 }
 
-/// An order of tasks: `processor_seconds`, or `-processor_seconds` for the greatest first.
+/// A sort order of tasks: `processor_seconds`, or `-processor_seconds` for descending.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct TaskOrder {
     column: Column,
     is_descending: bool,
 }
 
-/// A name that is no column of tasks.
+/// Error for a name that is not a column of tasks.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("give {}, with a `-` before it for the greatest first", names())]
 pub(super) struct NoColumn;
@@ -89,7 +89,7 @@ fn names() -> String {
     let mut text = String::new();
     for (place, (_, name)) in Column::ALL.iter().enumerate() {
         let before = ["", ", ", " or "][usize::from(place > 0) + usize::from(place == Column::ALL.len() - 1)];
-        // A string takes all that is written to it.
+        // Writing to a string cannot fail.
         let _ = write!(text, "{before}{name}");
     }
     text
@@ -106,8 +106,8 @@ impl FromStr for TaskOrder {
 }
 
 impl TaskOrder {
-    /// Sorts. Tasks without a value in the column come last, in either direction; equal ones stay in their order by frame, stage, round
-    /// and number.
+    /// Sorts tasks. Tasks without a value in the column come last in both directions. Equal tasks stay ordered by frame, stage,
+    /// round and number.
     pub(super) fn sort(self, tasks: &mut [TaskStatus]) {
         tasks.sort_by(|a, b| {
             let (order, [has_a, has_b]) = self.column.compare(a, b);
@@ -117,7 +117,7 @@ impl TaskOrder {
     }
 }
 
-/// The tasks that were sorted last, for the next pages of the same table.
+/// The last sorted tasks, kept for the next pages of the same table.
 #[derive(Debug, Default)]
 pub(super) struct LastSorted(Mutex<Option<Sorted>>);
 
@@ -129,17 +129,17 @@ struct Sorted {
 }
 
 impl LastSorted {
-    /// How long the pages of a table are of one sorting.
+    /// Time for which a sorted list is reused.
     const COUNTS: Duration = Duration::from_secs(1);
 
-    /// The tasks, where the same was asked a moment ago.
+    /// Returns the tasks, if the same list was sorted a moment ago.
     pub(super) fn get(&self, job: JobId, filter: TaskFilter, order: TaskOrder) -> Option<Arc<Vec<TaskStatus>>> {
         let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         *last = last.take().filter(|last| last.at.elapsed() < Self::COUNTS);
         last.as_ref().filter(|last| last.question == (job, filter, order)).map(|last| last.tasks.clone())
     }
 
-    /// Keeps tasks that were sorted now.
+    /// Stores a newly sorted list.
     pub(super) fn put(&self, job: JobId, filter: TaskFilter, order: TaskOrder, tasks: Arc<Vec<TaskStatus>>) {
         let sorted = Sorted { question: (job, filter, order), at: Instant::now(), tasks };
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(sorted);

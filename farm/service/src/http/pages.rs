@@ -1,4 +1,4 @@
-//! The page: files that are part of the program.
+//! Files of the web page, which are part of the program.
 
 use ::http::header::{CACHE_CONTROL, HeaderValue};
 use ::http::{Response, StatusCode};
@@ -6,21 +6,21 @@ use ::http::{Response, StatusCode};
 use super::answer::{self, Body};
 use super::fault::Fault;
 
-/// Files by their paths in the page's folder, like `index.html` and `assets/index-4f2a.js`.
+/// Files by path in the page's folder, such as `index.html` and `assets/index-4f2a.js`.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Files(pub &'static [(&'static str, &'static [u8])]);
 
 impl Files {
     const INDEX: &str = "index.html";
-    /// Files in here have hashes in their names: what has such a name never changes.
+    /// Folder of files with hashes in their names. The content of such a file never changes.
     const HASHED: &str = "assets/";
 
-    /// Whether the page was left out.
+    /// Returns whether the page was left out of the build.
     pub fn is_empty(self) -> bool {
         self.0.is_empty()
     }
 
-    /// The file at a path; a path without a file is one within the page, which finds its way itself.
+    /// Returns the file at a path. A path without a file belongs to the page's own router and returns the page.
     pub(super) fn get(self, path: &str) -> Result<Response<Body>, Fault> {
         let path = path.trim_start_matches('/');
         let find = |path: &str| self.0.iter().find(|(name, _)| *name == path);
@@ -38,7 +38,7 @@ impl Files {
     }
 }
 
-/// The media type of a file by its name.
+/// Returns the media type of a file, from its name.
 fn kind(name: &str) -> &'static str {
     match name.rsplit('.').next().unwrap_or_default() {
         "html" => "text/html; charset=utf-8",

@@ -1,24 +1,24 @@
-//! Parts of a file, and conditions on it (RFC 9110, 13 and 14).
+//! Range requests and conditional requests (RFC 9110, 13 and 14).
 
 use std::ops::Range;
 
 use ::http::HeaderMap;
 use ::http::header::{IF_NONE_MATCH, IF_RANGE, RANGE};
 
-/// The part of a file that a request asks for.
+/// Part of a file that a request asks for.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Wanted {
-    /// All of it.
+    /// The whole file.
     Whole,
     /// These bytes.
     Part(Range<u64>),
-    /// A part that begins behind the end.
+    /// A part that starts past the end.
     Beyond,
 }
 
-/// The part of a file of `length` bytes that a request asks for. Of several ranges, or of one in another form, the answer is the
-/// whole file, which the standard allows.
-/// - `tag`: of the file, in quotes.
+/// Returns the part of a file of `length` bytes that a request asks for. Several ranges, or a range of another form, give the whole
+/// file, which the standard permits.
+/// - `tag`: entity tag of the file, in quotes.
 pub(super) fn wanted(headers: &HeaderMap, length: u64, tag: &str) -> Wanted {
     let is_current = headers.get(IF_RANGE).is_none_or(|known| known.as_bytes() == tag.as_bytes());
     let range = headers.get(RANGE).filter(|_| is_current).and_then(|range| range.to_str().ok());
@@ -33,7 +33,7 @@ fn parse(text: &str, length: u64) -> Option<Wanted> {
     }
     let number = |text: &str| {
         let is_number = !text.is_empty() && text.bytes().all(|digit| digit.is_ascii_digit());
-        // Digits that are too many for the type stand for a number behind any end.
+        // A number with too many digits for the type lies past any end.
         is_number.then(|| text.parse().unwrap_or(u64::MAX))
     };
     let (begin, end) = if first.is_empty() {
@@ -53,7 +53,7 @@ fn parse(text: &str, length: u64) -> Option<Wanted> {
     Some(if begin < length { Wanted::Part(begin..end) } else { Wanted::Beyond })
 }
 
-/// Whether the client has the file of this tag.
+/// Returns whether the client already has the file with this tag.
 pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
     let lists = headers.get_all(IF_NONE_MATCH).into_iter().filter_map(|list| list.to_str().ok());
     let mut tags = lists.flat_map(|list| list.split(','));

@@ -1,4 +1,4 @@
-//! What each route does.
+//! Handlers of the routes.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ use crate::call::{AttemptPage, Call, JobShape, Listing};
 use crate::picture::Wanted;
 use crate::view::{FrameJson, JobJson, LogJson, OfflineJson, SpecJson, TaskJson, WorkerJson, usage_columns};
 
-/// Who asks.
+/// Identity of the caller, and facts about the farm.
 #[derive(Serialize)]
 struct Me<'a> {
     name: Option<&'a str>,
@@ -52,7 +52,7 @@ struct Job {
 #[derive(Serialize)]
 struct Frames {
     total: usize,
-    /// Of all frames and of the job's own stages, also of those that this answer leaves out.
+    /// Sum over all frames and the job's own stages, including those that this response leaves out.
     processor_seconds: Option<f64>,
     wall_seconds: Option<f64>,
     frames: Vec<FrameJson>,
@@ -84,7 +84,7 @@ struct Attempts<'a> {
 #[derive(Serialize)]
 struct Logs {
     records: Vec<LogJson>,
-    /// When the last of them was reported, by the farm's clock: the `since` of the next request.
+    /// Report time of the last record, by the farm's clock: the `since` of the next request.
     latest: Option<f64>,
 }
 
@@ -94,10 +94,10 @@ struct AuditLines {
 }
 
 impl<S: Send + 'static> Http<S> {
-    /// Most bytes of a form or of JSON that comes in.
+    /// Maximum size in bytes of a form or of JSON in a request.
     const BODY: usize = 64 << 10;
 
-    /// Does what a route asks for.
+    /// Runs the request of a route.
     pub(super) async fn respond<B>(
         &self,
         route: Route,
@@ -133,7 +133,7 @@ impl<S: Send + 'static> Http<S> {
         }
     }
 
-    /// A body that is not too large and comes in time.
+    /// Reads a whole body. Fails if the body is too large or late.
     async fn whole<B>(&self, body: Pin<&mut B>) -> Result<Bytes, Fault>
     where
         B: http_body::Body<Data = Bytes> + Send,
@@ -153,7 +153,7 @@ impl<S: Send + 'static> Http<S> {
         }
     }
 
-    /// Takes a token from a form, and gives a cookie that brings it along.
+    /// Takes a token from a form, and sets a cookie with it.
     fn login(&self, asked: &Asked<'_>, form: &Bytes, trail: &Trail) -> Result<Response<Body>, Fault> {
         let kind = asked.headers.get(::http::header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok());
         if !kind.is_some_and(|kind| kind.starts_with("application/x-www-form-urlencoded")) {
@@ -167,7 +167,7 @@ impl<S: Send + 'static> Http<S> {
         self.logged(Some(token.trim()))
     }
 
-    /// Back to the page, with the cookie, or without it.
+    /// Redirects to the page, and sets or clears the cookie.
     fn logged(&self, token: Option<&str>) -> Result<Response<Body>, Fault> {
         let mut response = answer::bytes(StatusCode::SEE_OTHER, "text/plain; charset=utf-8", Bytes::new());
         response.headers_mut().insert(LOCATION, HeaderValue::from_static("/"));
@@ -206,7 +206,7 @@ impl<S: Send + 'static> Http<S> {
     }
 
     async fn frames(&self, job: JobId, Window { from, count }: Window) -> Result<Response<Body>, Fault> {
-        /// Most frames of one answer.
+        /// Maximum number of frames in one response.
         const MOST: usize = 10_000;
         let shape = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
         let [width, height] = shape.spec.grid.film;
@@ -231,7 +231,7 @@ impl<S: Send + 'static> Http<S> {
     }
 
     async fn tasks(&self, job: JobId, window: TaskWindow) -> Result<Response<Body>, Fault> {
-        /// Most tasks of one answer.
+        /// Maximum number of tasks in one response.
         const MOST: usize = 10_000;
         let TaskWindow { filter, order, from, count } = window;
         let count = count.min(MOST);
@@ -250,7 +250,7 @@ impl<S: Send + 'static> Http<S> {
         Ok(answer::json(&Tasks { total, tasks: tasks.iter().map(TaskJson::from).collect() }))
     }
 
-    /// All tasks that a filter lets through, in an order.
+    /// Returns all tasks that pass a filter, sorted.
     async fn sorted_tasks(
         &self,
         job: JobId,
@@ -347,7 +347,7 @@ impl<S: Send + 'static> Http<S> {
             Wanted::Pixels | Wanted::Maps => answer::large("application/vnd.femc.pixels", drawn.bytes, place),
         };
         let headers = response.headers_mut();
-        // A digest in hexadecimal is good for a header.
+        // A hexadecimal digest is always a valid header value.
         if let Ok(tag) = HeaderValue::try_from(format!("\"{}\"", drawn.tag)) {
             headers.insert(ETAG, tag);
         }
@@ -378,7 +378,7 @@ impl<S: Send + 'static> Http<S> {
     }
 }
 
-/// Whether a lease is one of a task, by its own name or by that of the task before it was cut.
+/// Returns whether a lease belongs to a task. The task is named by its own key, or by its key before it was divided into chunks.
 fn is_of(spec: &JobSpec, cut: Cut, task: &TaskKey, lease: &TaskKey) -> bool {
     let item = || {
         let template = spec.graph.stage(lease.stage.number)?;

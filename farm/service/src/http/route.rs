@@ -1,4 +1,4 @@
-//! Paths, and what they ask for.
+//! Routes: the meaning of paths.
 
 use ::http::Method;
 use ::http::header::HeaderName;
@@ -11,23 +11,23 @@ use crate::file::{File, FrameFile};
 use crate::operation::Operation;
 use crate::picture::Wanted;
 
-/// What a request asks for.
+/// Parsed request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Route {
-    /// A file of the page.
+    /// A file of the web page.
     Page(String),
     Login,
     Logout,
     Me,
-    /// Changes since an event, by its id.
+    /// Changes since the event with this id.
     Feed(Option<String>),
     Jobs,
     Job(JobId),
     Frames(JobId, Window),
     Tasks(JobId, TaskWindow),
-    /// What attempts took, from this note on; or all at one task.
+    /// Attempts, from this record on; or all attempts at one task.
     Attempts(JobId, u64, Option<TaskKey>),
-    /// Logs since this moment of the farm's clock, of one task where it is named.
+    /// Logs since this time of the farm's clock; only those of one task, if it is given.
     Logs(JobId, Tick, Option<TaskKey>),
     /// A frame as a picture.
     Picture(JobId, u32, Wanted),
@@ -38,22 +38,22 @@ pub(super) enum Route {
     /// Usage by owner and month.
     Usage,
     Drain,
-    /// The latest lines of the record.
+    /// The latest lines of the audit log.
     Audit(usize),
 }
 
-/// Some of many.
+/// A window of a list.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Window {
     pub(super) from: usize,
     pub(super) count: usize,
 }
 
-/// Some of a job's tasks.
+/// A window of a job's tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct TaskWindow {
     pub(super) filter: TaskFilter,
-    /// Without it they are in the order of the job.
+    /// Sort order. `None`: the order of the job.
     pub(super) order: Option<TaskOrder>,
     pub(super) from: u64,
     pub(super) count: usize,
@@ -62,7 +62,7 @@ pub(super) struct TaskWindow {
 const LAST_EVENT: HeaderName = HeaderName::from_static("last-event-id");
 
 impl Route {
-    /// Of a request.
+    /// Parses a request.
     pub(super) fn of(asked: &Asked<'_>) -> Result<Self, Fault> {
         let path = asked.uri.path();
         let Some(call) = path.strip_prefix("/api/v1/") else { return Self::of_page(asked, path) };
@@ -88,7 +88,7 @@ impl Route {
             }
             ["jobs", job, "logs"] => {
                 let since = query.number::<f64>("since")?.unwrap_or(0.0);
-                // Beyond the range of milliseconds there is no log.
+                // There are no logs beyond the range of milliseconds.
                 let since = Tick((since * 1000.0) as u64);
                 (Self::Logs(number("job", job)?, since, query.number("task")?), Method::GET)
             }
@@ -142,7 +142,7 @@ impl Route {
         Err(Fault::Method { path: path.to_owned(), allowed })
     }
 
-    /// Lets GET and HEAD through.
+    /// Accepts GET and HEAD only.
     fn by_reading(self, asked: &Asked<'_>, path: &str) -> Result<Self, Fault> {
         if matches!(*asked.method, Method::GET | Method::HEAD) {
             return Ok(self);
@@ -150,7 +150,7 @@ impl Route {
         Err(Fault::Method { path: path.to_owned(), allowed: "GET, HEAD" })
     }
 
-    /// What it is.
+    /// Returns the operation of the route.
     pub(super) fn operation(&self) -> Operation {
         match self {
             Self::Page(_) => Operation::Page,
@@ -174,7 +174,7 @@ impl Route {
         }
     }
 
-    /// Whether it changes something of the farm, by JSON.
+    /// Returns whether the route changes the farm, with a JSON body.
     pub(super) fn is_change(&self) -> bool {
         matches!(self, Self::Control | Self::Drain)
     }
@@ -190,7 +190,7 @@ fn window(query: Query<'_>) -> Result<TaskWindow, Fault> {
     Ok(TaskWindow { filter, order: query.number("sort")?, from, count })
 }
 
-/// Rows of a thumbnail.
+/// Returns the height of a thumbnail in pixels.
 fn height(query: Query<'_>) -> Result<u32, Fault> {
     let height = query.number("height")?.unwrap_or(90);
     if (1..=1024).contains(&height) { Ok(height) } else { Err(invalid("height", "from 1 to 1024")) }
@@ -200,7 +200,7 @@ fn invalid(field: &str, message: &str) -> Fault {
     Fault::Invalid { field: field.into(), message: message.into() }
 }
 
-/// A number, or another name, within a path.
+/// Parses a number or an identifier in a path.
 fn number<T: std::str::FromStr>(field: &str, text: &str) -> Result<T, Fault>
 where
     T::Err: std::fmt::Display,
@@ -208,18 +208,18 @@ where
     text.parse().map_err(|error| Fault::Invalid { field: field.into(), message: format!("`{text}`: {error}") })
 }
 
-/// The part of an address behind the question mark.
+/// Query part of a URL.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Query<'a>(pub(super) &'a str);
 
 impl Query<'_> {
-    /// The first value of this name; an empty one is none.
+    /// Returns the first value with this name. An empty value counts as missing.
     pub(super) fn get(self, name: &str) -> Option<String> {
         let value = form_urlencoded::parse(self.0.as_bytes()).find(|(key, _)| key == name)?.1;
         Some(value.into_owned()).filter(|value| !value.is_empty())
     }
 
-    /// The same as a number.
+    /// Returns the first value with this name, as a number.
     pub(super) fn number<T: std::str::FromStr>(self, name: &str) -> Result<Option<T>, Fault>
     where
         T::Err: std::fmt::Display,
@@ -268,7 +268,7 @@ mod tests {
             }
         }
         assert_eq!(seen.values().sum::<usize>(), 26);
-        // The page itself has no row, and what is no request has none.
+        // The page itself has no row in the table, and neither have requests without an operation.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));
     }

@@ -1,10 +1,10 @@
-//! What keeps other sites' pages out, and the cookie of this one.
+//! Protection against pages of other sites, and the login cookie.
 //!
-//! A browser sends requests for any page that it shows. So what changes something must come as JSON with a header of its own, which a
-//! form of another site cannot send and a script only after this server has allowed it, which it never does; an `Origin`, where there
-//! is one, must be the coordinator itself; and what a browser says to come from another site is refused. A coordinator that
-//! asks nobody who he is could be reached by a page whose name has been made to lead to this machine (DNS rebinding): it answers
-//! only those who name it by its own address.
+//! A browser sends requests on behalf of any page that it shows. So a change must come as JSON with a custom header: a form of
+//! another site cannot send it, and a script could only after this server permits it, which it never does. An `Origin` header, if
+//! present, must be the coordinator itself. Requests that the browser marks as cross-site are refused. A coordinator without
+//! authentication could also be reached by a page whose host name was made to resolve to this machine (DNS rebinding). So it
+//! answers only requests that name it by its own address.
 
 use std::net::IpAddr;
 
@@ -18,15 +18,15 @@ use super::visitor::Visitor;
 
 /// Name of the cookie.
 const COOKIE_NAME: &str = "femc";
-/// Header that only the page and programs send.
+/// Header that only the web page and programs send.
 const OWN_HEADER: HeaderName = HeaderName::from_static("x-femc");
 const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
 
-/// The token that a request brings: of the header, else of the cookie.
+/// Returns the token of a request, from the header or else from the cookie.
 pub(super) fn token(headers: &HeaderMap) -> Result<Option<&str>, Fault> {
     if let Some(header) = headers.get(AUTHORIZATION) {
-        // What is no bearer's token is a wrong one.
+        // A header that is not a bearer token gives an empty token, which is invalid.
         return Ok(Some(text(header).strip_prefix("Bearer ").unwrap_or_default()));
     }
     let cookies = headers.get_all(COOKIE).into_iter().flat_map(|cookies| text(cookies).split(';'));
@@ -46,7 +46,7 @@ fn invalid(field: &str, message: &str) -> Fault {
     Fault::Invalid { field: field.into(), message: message.into() }
 }
 
-/// The cookie that brings a token along; `None` ends it.
+/// Makes the cookie that holds a token; `None` deletes the cookie.
 pub(super) fn cookie(token: Option<&str>, is_encrypted: bool) -> Option<HeaderValue> {
     let secure = if is_encrypted { "; Secure" } else { "" };
     let end = if token.is_none() { "; Max-Age=0" } else { "" };
@@ -57,7 +57,7 @@ pub(super) fn cookie(token: Option<&str>, is_encrypted: bool) -> Option<HeaderVa
     Some(value)
 }
 
-/// Refuses what another site's page may have sent.
+/// Refuses requests that a page of another site may have sent.
 pub(super) fn check(route: &Route, asked: &Asked<'_>, visitor: &Visitor, asks: bool) -> Result<(), Fault> {
     let host = host(asked);
     if !asks && visitor.address.is_some() && !is_own(&host, visitor) {
@@ -85,14 +85,14 @@ pub(super) fn check(route: &Route, asked: &Asked<'_>, visitor: &Visitor, asks: b
     Ok(())
 }
 
-/// How the client names the server, with the port.
+/// Returns the host name, with the port, by which the client names the server.
 fn host(asked: &Asked<'_>) -> String {
     let authority = asked.uri.authority().map(|authority| authority.as_str().to_owned());
     authority.or_else(|| asked.headers.get(HOST).map(|host| text(host).to_owned())).unwrap_or_default()
 }
 
-/// Whether a name is this machine's loopback, or the address at which the client has reached the server. The port may be another: of
-/// a tunnel.
+/// Returns whether a host name is this machine's loopback, or the address at which the client reached the server. The port may
+/// differ, because of tunnels.
 fn is_own(host: &str, visitor: &Visitor) -> bool {
     let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((ip, _)) => ip,

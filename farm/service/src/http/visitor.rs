@@ -1,27 +1,27 @@
-//! Who is at the other end, as far as the connection tells.
+//! Client of a connection, as far as the connection identifies it.
 
 use std::net::SocketAddr;
 
 use rustls_pki_types::CertificateDer;
 
-/// A connection's other end.
+/// Client of a connection.
 #[derive(Debug, Clone, Default)]
 pub struct Visitor {
-    /// Its address, unless the connection is no TCP connection.
+    /// Address of the client; `None` if the connection is not TCP.
     pub address: Option<SocketAddr>,
-    /// The address at which it has reached the server.
+    /// Server address that the client connected to.
     pub reached: Option<SocketAddr>,
     /// Number of the connection.
     pub connection: u64,
-    /// The certificate that it has shown.
+    /// Certificate that the client presented.
     pub certificate: Option<CertificateDer<'static>>,
 }
 
-/// Found in the extensions of a response: the request was one that its visitor may make, and its connection may last.
+/// Response extension: the request was permitted for its caller, so the connection may stay open.
 #[derive(Debug, Clone, Copy)]
 pub struct Introduced;
 
-/// Found in the extensions of a response: the request was one that everybody may make, such as for a file of the page. Its visitor is
-/// as unknown as before, and nothing was refused.
+/// Response extension: the request was public, such as for a file of the page. The client remains unauthenticated, and nothing was
+/// refused.
 #[derive(Debug, Clone, Copy)]
 pub struct Served;

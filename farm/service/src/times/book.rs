@@ -1,4 +1,4 @@
-//! The attempts of jobs that somebody looks at.
+//! Cache of the attempt times of jobs that users look at.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -12,7 +12,7 @@ use super::job::JobTimes;
 use crate::call::{AttemptPage, Call, JobShape};
 use crate::farm::Farm;
 
-/// Times of jobs, each kept while somebody asks for it.
+/// Times of jobs. A job is kept as long as users ask for it.
 #[derive(Debug, Clone, Default)]
 pub struct Book(Arc<Mutex<BTreeMap<JobId, Slot>>>);
 
@@ -24,9 +24,10 @@ struct Slot {
 }
 
 impl Book {
-    /// Most attempts of all jobs together that are kept, some 130 bytes each. The times of a job with more are not known.
+    /// Maximum number of attempts kept for all jobs together, about 130 bytes each. The times of a job with more attempts are not
+    /// available.
     pub const MOST: usize = 2_000_000;
-    /// How long a job is kept after the last question about it.
+    /// Time for which a job is kept after the last request for it.
     const KEPT: Duration = Duration::from_secs(60);
 
     fn slots(&self) -> MutexGuard<'_, BTreeMap<JobId, Slot>> {
@@ -45,7 +46,7 @@ impl Book {
         slot.times.clone()
     }
 
-    /// Takes notice of a job's number of attempts; jobs that were asked for longest ago go, until all fit.
+    /// Records the number of attempts of a job. If the limit is exceeded, the least recently used jobs are dropped.
     fn grown(&self, job: JobId, attempts: usize) {
         let mut slots = self.slots();
         if let Some(slot) = slots.get_mut(&job) {
@@ -58,7 +59,7 @@ impl Book {
         }
     }
 
-    /// The times of a job's attempts that have ended by now; `None`: there are more than [`Self::MOST`].
+    /// Returns the times of a job's ended attempts; `None`: there are more than [`Self::MOST`].
     pub async fn of<S>(
         &self,
         farm: &Farm<S>,
@@ -83,7 +84,7 @@ impl Book {
     }
 }
 
-/// Drops jobs that nobody has asked for lately; ends when there is none.
+/// Drops jobs without recent requests. Ends when none is left.
 async fn forget(slots: Weak<Mutex<BTreeMap<JobId, Slot>>>) {
     loop {
         tokio::time::sleep(Book::KEPT / 2).await;

@@ -1,4 +1,4 @@
-//! The attempts at one job's tasks, small enough to keep while somebody looks at the job.
+//! Attempts at one job's tasks, small enough to keep in memory while users look at the job.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,7 +11,7 @@ use femc_model::{
 use super::sum::{Span, Sum};
 use crate::call::JobShape;
 
-/// An attempt, by its frame, by the number of its stage and by the task before it was cut.
+/// Key of an attempt: frame, number of the stage, and task (not counting chunks).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Key {
     frame: u32,
@@ -23,13 +23,13 @@ struct Key {
 }
 
 impl Key {
-    /// Attempts at all tasks of a frame.
+    /// Returns the range of attempts at all tasks of a frame.
     fn of_frame(frame: u32) -> RangeInclusive<Self> {
         let first = Self { frame, number: 0, item: 0, round: 0, index: 0, epoch: 0 };
         first..=Self { number: u16::MAX, item: u32::MAX, ..first.last(u32::MAX) }
     }
 
-    /// Attempts at a task in these rounds.
+    /// Returns the range of attempts at a task in these rounds.
     fn of_task(frame: u32, number: u16, item: u32, rounds: RangeInclusive<u32>) -> RangeInclusive<Self> {
         let first = Self { frame, number, item, round: *rounds.start(), index: 0, epoch: 0 };
         first..=first.last(*rounds.end())
@@ -40,14 +40,14 @@ impl Key {
     }
 }
 
-/// What is kept of an attempt.
+/// Stored data of an attempt.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Entry {
     granted: Tick,
     ended: Tick,
     ending: Ending,
     worker: u32,
-    /// Wait, wall and processor seconds as the worker measured them.
+    /// Wait, wall and processor seconds, as measured by the worker.
     measured: Option<[f64; 3]>,
 }
 
@@ -57,37 +57,37 @@ impl Entry {
         Span::new(self.granted, self.ended, usage)
     }
 
-    /// Both notes of one attempt together.
+    /// Merges two records of one attempt.
     fn merged(self, new: Self) -> Self {
         let chosen = if new.ending >= self.ending { new } else { self };
         Self { granted: self.granted.min(new.granted), measured: new.measured.or(self.measured), ..chosen }
     }
 }
 
-/// The attempts at a job's tasks that have ended, and what they add up to.
+/// Ended attempts at a job's tasks, and their sums.
 #[derive(Debug, Default)]
 pub struct JobTimes {
     attempts: BTreeMap<Key, Entry>,
     workers: Vec<String>,
     frames: BTreeMap<u32, Times>,
-    /// Frames with attempts that are not in their sums yet.
+    /// Frames with attempts that are not in the sums yet.
     stale: BTreeSet<u32>,
-    /// The note from which on the next reading begins.
+    /// Record at which the next read starts.
     pub(super) from: u64,
 }
 
 impl JobTimes {
-    /// Number of attempts.
+    /// Returns the number of attempts.
     pub fn len(&self) -> usize {
         self.attempts.len()
     }
 
-    /// Whether no attempt has ended.
+    /// Returns whether no attempt has ended.
     pub fn is_empty(&self) -> bool {
         self.attempts.is_empty()
     }
 
-    /// Adds what was noted of an attempt, by the rules of [`femc_model::Attempts::put`].
+    /// Adds a record of an attempt, with the rules of [`femc_model::Attempts::put`].
     pub fn put(&mut self, shape: &JobShape, record: &AttemptRecord) {
         let Stage { frame, round, number, .. } = record.task.stage;
         let Some(template) = shape.spec.graph.stage(number) else { return };
@@ -102,16 +102,16 @@ impl JobTimes {
         };
         let known = self.attempts.get(&key).copied();
         let merged = known.map_or(new, |known| known.merged(new));
-        // The last page is read again each time.
+        // The last page is read again each time, so a record may be known already.
         if known != Some(merged) {
             self.attempts.insert(key, merged);
             self.stale.insert(frame);
         }
     }
 
-    /// The number under which a worker's name is kept.
+    /// Returns the number under which a worker's name is stored.
     fn worker(&mut self, name: &str) -> u32 {
-        // A job has few workers, and the last one comes again.
+        // A job has few workers, and the last one is likely to occur again.
         let known = self.workers.iter().rposition(|known| known == name);
         known.unwrap_or_else(|| {
             self.workers.push(name.to_owned());
@@ -119,7 +119,7 @@ impl JobTimes {
         }) as u32
     }
 
-    /// Adds up the frames that have new attempts.
+    /// Updates the sums of frames that have new attempts.
     pub fn add_up(&mut self) {
         for frame in std::mem::take(&mut self.stale) {
             let sum: Sum = self.attempts.range(Key::of_frame(frame)).map(|(_, entry)| entry.span()).collect();
@@ -127,12 +127,12 @@ impl JobTimes {
         }
     }
 
-    /// Times of a frame, or of the job's own stages; `None`: no attempt at its tasks has ended.
+    /// Returns the times of a frame, or of the job's own stages; `None`: no attempt at its tasks has ended.
     pub fn frame(&self, frame: u32) -> Option<Times> {
         self.frames.get(&frame).copied()
     }
 
-    /// Processor seconds and wall seconds of all frames and of the job's own stages.
+    /// Returns the processor seconds and wall seconds of all frames and of the job's own stages.
     pub fn job(&self) -> (f64, f64) {
         let all = self.frames.values();
         (all.clone().map(|times| times.processor).sum(), all.map(|times| times.wall).sum())
@@ -143,7 +143,8 @@ impl JobTimes {
         status.times = self.frame(status.frame);
     }
 
-    /// Fills in the times of a task; of one that is done or failed also the workers, of one that is done its attempts.
+    /// Fills in the times of a task. For a task that is done or failed, also fills in the workers; for one that is done, also the
+    /// number of attempts.
     pub fn tell_task(&self, status: &mut TaskStatus) {
         let TaskKey { stage: Stage { frame, round, number, .. }, index: item, .. } = status.task;
         let rounds = if status.is_of_all_rounds { 0..=u32::MAX } else { round..=round };

@@ -1,7 +1,8 @@
-//! How long the attempts at a job's frames and tasks took.
+//! Durations of the attempts at a job's frames and tasks.
 //!
-//! The scheduler knows states, and the notes beside the log know what attempts took. Here both come together, when somebody asks: the
-//! ledger does not grow with attempts. A job's notes are read once and then from where the last reading ended.
+//! The scheduler knows states; the records beside the log know the usage of attempts. This module joins both on request, so that
+//! the ledger does not grow with the number of attempts. A job's records are read once, and later only from where the last read
+//! ended.
 
 mod book;
 mod job;

@@ -1,27 +1,27 @@
-//! Times of several attempts together.
+//! Sums of the times of several attempts.
 
 use femc_model::{Tick, Times, Usage};
 
-/// When an attempt ran and what it took. Seconds, by the farm's clock.
+/// Time span and usage of an attempt, in seconds of the farm's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Span {
-    /// When its lease was granted.
+    /// Time at which the lease was granted.
     pub granted: f64,
-    /// When its work began: not before the lease.
+    /// Time at which the work started, not before the lease.
     pub began: f64,
-    /// When its work ended: not after the lease.
+    /// Time at which the work stopped, not after the lease.
     pub stopped: f64,
-    /// When its lease ended.
+    /// Time at which the lease ended.
     pub ended: f64,
-    /// Seconds of the work, as the worker measured them; else the length of the lease.
+    /// Seconds of work as measured by the worker, or the length of the lease if there is no measurement.
     pub wall: f64,
     /// Processor seconds.
     pub processor: f64,
 }
 
 impl Span {
-    /// Span of an attempt.
-    /// - `usage`: what its worker measured, if it is known.
+    /// Makes the span of an attempt.
+    /// - `usage`: measurement of the worker, if known.
     pub fn new(granted: Tick, ended: Tick, usage: Option<Usage>) -> Self {
         let seconds = |tick: Tick| tick.0 as f64 / 1000.0;
         let granted = seconds(granted);
@@ -29,18 +29,18 @@ impl Span {
         let Some(usage) = usage else {
             return Self { granted, began: granted, stopped: ended, ended, wall: ended - granted, processor: 0.0 };
         };
-        // A lease that was handed over to another coordinator may say that it was granted after its work began.
+        // The grant time of a lease that was handed over to another coordinator may lie after the start of its work.
         let began = (granted + usage.wait).min(ended - usage.wall).max(granted);
         let stopped = (began + usage.wall).min(ended);
         Self { granted, began, stopped, ended, wall: usage.wall, processor: usage.cpu }
     }
 }
 
-/// Adds attempts up.
+/// Accumulates attempts.
 ///
-/// Processor and wall seconds are sums. Waiting is the time from the first lease to the end of the last one, less the union of the times
-/// in which some attempt ran. Laws: the processor and wall seconds of frames add up to those of their job; waiting is not negative;
-/// waiting and wall seconds together are at least the time from the first lease to the end of the last one.
+/// Processor and wall seconds are sums. Waiting is the time from the first lease to the end of the last one, minus the union of the
+/// times in which some attempt ran. Laws: the processor and wall seconds of the frames add up to those of their job. Waiting is not
+/// negative. Waiting plus wall seconds are at least the time from the first lease to the end of the last one.
 #[derive(Debug, Clone, Default)]
 pub struct Sum {
     times: Times,
@@ -59,7 +59,7 @@ impl Sum {
         self.runs.push((span.began, span.stopped));
     }
 
-    /// All together; `None`: nothing was added.
+    /// Returns the sums; `None`: nothing was added.
     pub fn times(mut self) -> Option<Times> {
         let (first, last) = self.lease?;
         self.runs.sort_by(|a, b| a.0.total_cmp(&b.0));

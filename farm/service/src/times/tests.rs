@@ -1,4 +1,4 @@
-//! Laws of the times of frames and tasks.
+//! Tests of the laws of frame and task times.
 
 use std::num::NonZeroU64;
 
@@ -9,7 +9,7 @@ use crate::attempts::{By, JobRecord, rows};
 use crate::call::{AttemptPage, Call, JobShape};
 use crate::farm::Farm;
 
-/// Tiles of 64 units in two rounds of 8 steps each, and an image.
+/// Makes a job with tiles of 64 units in two rounds of 8 steps each, and an image.
 fn shape() -> JobShape {
     let tiles = Template::new(StageKind::Render, Scope::Frame, [(4, 64)].into_iter().collect(), &[Role::Tile]);
     let image = Template::new(StageKind::Image, Scope::Frame, [(1, 1)].into_iter().collect(), &[Role::Image]);
@@ -27,7 +27,7 @@ fn shape() -> JobShape {
         tags: Vec::new(),
         notes: JobNotes::default(),
     };
-    // Two grains for each task and round.
+    // Two chunks for each task and round.
     JobShape { spec: Box::new(spec), cut: Cut::Grains(NonZeroU64::new(256).expect("not zero")) }
 }
 
@@ -36,7 +36,7 @@ fn task(frame: u32, round: u32, index: u32) -> TaskKey {
     TaskKey { job: JobId(1), stage, index }
 }
 
-/// An attempt from `granted` to `ended` in milliseconds that waited and worked for these seconds.
+/// Makes an attempt from `granted` to `ended` (milliseconds) that waited and worked for these seconds.
 fn attempt(task: TaskKey, epoch: u64, [granted, ended]: [u64; 2], [wait, wall, cpu]: [f64; 3]) -> AttemptRecord {
     AttemptRecord {
         task,
@@ -72,7 +72,7 @@ fn status(task: TaskKey, state: TaskState, is_of_all_rounds: bool) -> TaskStatus
     }
 }
 
-/// Repeatable numbers from 0 to below 1.
+/// Returns a generator of reproducible numbers in [0, 1).
 fn numbers() -> impl FnMut() -> f64 {
     let mut state = 7_u64;
     move || {
@@ -83,7 +83,7 @@ fn numbers() -> impl FnMut() -> f64 {
 
 #[test]
 fn waiting_is_the_time_of_the_leases_in_which_no_attempt_ran() {
-    // At work from 1 to 3, from 2 to 4, and from 8 to 9; leases from 0 to 10.
+    // Working from 1 to 3, from 2 to 4, and from 8 to 9; leases from 0 to 10.
     let records = [
         attempt(task(1, 0, 0), 1, [0, 3_000], [1.0, 2.0, 1.9]),
         attempt(task(1, 0, 1), 2, [1_000, 4_000], [1.0, 2.0, 1.8]),
@@ -116,7 +116,7 @@ fn frames_and_tasks_add_up_to_their_job_and_to_the_rows_of_the_statistics() {
         let task = task(1 + epoch as u32 % 3, (next() * 2.0) as u32, (next() * 8.0) as u32);
         let granted = (next() * 1e6) as u64;
         let [wait, wall] = [next() * 3.0, next() * 9.0];
-        // Some leases end before the worker's measure says so, and some long after.
+        // Some leases end before the time that the worker measured, and some long after it.
         let ended = granted + ((wait + wall) * 1000.0 * (0.9 + next())) as u64;
         let record = attempt(task, epoch, [granted, ended], [wait, wall, wall * next()]);
         let ending = Ending::ALL[epoch as usize % 5];
@@ -145,7 +145,7 @@ fn frames_and_tasks_add_up_to_their_job_and_to_the_rows_of_the_statistics() {
         assert!(frame.waiting + frame.wall >= whole - 1e-6, "{frame:?} of {whole} s");
     }
 
-    // Tasks of a finished frame have all rounds in them, those of a frame in work one.
+    // Tasks of a finished frame cover all rounds, tasks of an unfinished frame one round.
     for is_of_all_rounds in [true, false] {
         let rounds = if is_of_all_rounds { 0..1 } else { 0..2 };
         let mut sums = Times::default();
@@ -206,7 +206,7 @@ async fn notes_are_read_once_and_then_from_the_last_page_on_and_forgotten_when_n
     tokio::spawn(async move {
         let mut there = 3;
         while let Some(Call::Attempts { from, reply, .. }) = asked.recv().await {
-            // Pages of two notes; two more are there after the first reading.
+            // Pages have two records. Two more records are added after the first read.
             let (first, last) = (from as usize, (from as usize + 2).min(there));
             let next = (from as usize + 2 < there).then_some(from + 2);
             told.send(from).expect("somebody listens");

@@ -1,4 +1,4 @@
-//! A job as programs and pages read it, and why its tasks wait.
+//! JSON of a job, and the reasons why its tasks wait.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::words::count;
 
-/// A job as JSON: the names of states in lower case, so that scripts compare words, not a program's spelling.
+/// A job as JSON. State names are in lower case, so that scripts do not depend on the spelling in the program.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct JobJson {
     job: u64,
@@ -16,7 +16,7 @@ pub struct JobJson {
     owner: String,
     /// Path of the scene file within its bundle.
     scene: String,
-    /// A line for people; empty: none.
+    /// A line for users; empty: none.
     comment: String,
     labels: BTreeMap<String, String>,
     /// URL to which a message is posted when the job has ended.
@@ -29,29 +29,29 @@ pub struct JobJson {
     samples_most: u64,
     samples_per_second: f64,
     bad_samples: u64,
-    /// Relative error of the worst frame so far; `None` also if no frame met light.
+    /// Relative error of the worst frame so far; `None` also if no sample found light.
     relative_error: Option<f64>,
-    /// Number of that frame.
+    /// Number of the worst frame.
     worst_frame: Option<u32>,
-    /// Blocks of that frame, and those in which no sample met light.
+    /// Blocks of the worst frame, and those in which no sample found light.
     blocks: Option<u32>,
     unlit_blocks: Option<u32>,
-    /// Relative error that each frame is to reach; `None`: the job stops by samples or by time.
+    /// Target relative error of each frame; `None`: samples or time end the job.
     error_target: Option<f64>,
-    /// Why the error of the worst frame is above the target; `None`: it is not.
+    /// Reason why the error of the worst frame is above the target; `None`: it is not.
     above_target: Option<&'static str>,
     seconds: f64,
-    /// When it was submitted, Unix seconds by the farm's clock.
+    /// Time of submission: Unix seconds by the farm's clock.
     submitted: Option<f64>,
-    /// Calendar date of its submission, Unix seconds.
+    /// Calendar date of submission in Unix seconds.
     submitted_date: Option<f64>,
     workers: u32,
     failure: Option<String>,
     active: Vec<ActiveJson>,
-    /// Late tasks that were given to a second worker.
+    /// Number of slow tasks that were also given to a second worker.
     copies: u64,
     quarantined: Vec<QuarantinedJson>,
-    /// What all of its tasks wait for, in a word: `memory` or `store`.
+    /// Resource that all tasks of the job wait for: `memory` or `store`.
     waits_for: Option<&'static str>,
     waits: Vec<String>,
 }
@@ -127,8 +127,8 @@ impl From<&JobStatus> for JobJson {
     }
 }
 
-/// What all tasks of a job wait for, in a word: `memory` or `store`, where the workers that may take it rest for want of it; `None`:
-/// something of it is done, or it waits for another reason.
+/// Returns the resource that all tasks of a job wait for: `memory` or `store`, if the suitable workers are in a back-off because it
+/// is lacking. `None`: some of the job is done, or it waits for another reason.
 pub fn waits_for(job: &JobStatus) -> Option<&'static str> {
     let wanted = job.waits.iter().find_map(|wait| match wait {
         Wait::WorkersInTrouble { failure: Failure::Resources { .. }, .. } => Some("memory"),
@@ -138,12 +138,12 @@ pub fn waits_for(job: &JobStatus) -> Option<&'static str> {
     wanted.filter(|_| job.workers == 0 && matches!(job.state, JobState::Queued | JobState::Running))
 }
 
-/// Its state in words: `running`, or `waits for memory` (see [`waits_for`]).
+/// Returns the state in words: `running`, or `waits for memory` (see [`waits_for`]).
 pub fn state(job: &JobStatus) -> String {
     waits_for(job).map_or_else(|| job.state.name().to_owned(), |wanted| format!("waits for {wanted}"))
 }
 
-/// Why the error of a job's worst frame is above its target; `None`: it is not, or there is no target.
+/// Returns why the error of a job's worst frame is above its target; `None`: it is not, or there is no target.
 pub fn above_target(job: &JobStatus) -> Option<FrameStop> {
     let (error, target) = job.relative_error.zip(job.error_target)?;
     job.worst_frame.filter(|_| error > target).map(|worst| worst.stop)
@@ -167,7 +167,7 @@ impl From<&FrameProgress> for ActiveJson {
     }
 }
 
-/// The frame of this number, or the whole job.
+/// Returns the name of a frame, or "the whole job".
 pub fn unit(frame: u32) -> String {
     if frame == Stage::OF_JOB { "the whole job".to_owned() } else { format!("frame {frame}") }
 }
@@ -176,7 +176,7 @@ fn has(n: u32) -> &'static str {
     if n == 1 { "has" } else { "have" }
 }
 
-/// Why tasks of the job wait.
+/// Describes why tasks of the job wait.
 pub fn wait(job: &JobStatus, wait: &Wait) -> String {
     match wait {
         Wait::Paused => "the job is paused".to_owned(),

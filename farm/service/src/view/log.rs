@@ -1,4 +1,4 @@
-//! What a worker wrote down during an attempt, as programs and pages read it.
+//! JSON of the log of an attempt.
 
 use femc_model::{Attempt, LogRecord};
 use serde::Serialize;
@@ -15,7 +15,7 @@ pub struct LogJson {
 }
 
 impl LogJson {
-    /// Of a record, with the text of its log.
+    /// Makes the JSON from a record and the text of its log.
     pub fn new(record: &LogRecord, text: String) -> Self {
         Self {
             task: record.task.to_string(),

@@ -1,5 +1,5 @@
-//! What there is, as JSON: one form for the command line's `--json`, for pages and for other people's programs. Names are in snake
-//! case, states and kinds in lower case, times in seconds; what is not there is null.
+//! JSON of all objects of the farm. The command line's `--json`, the web page and other programs use the same form. Names are in
+//! snake case, states and kinds in lower case, times in seconds; missing values are null.
 
 mod job;
 mod log;

@@ -1,4 +1,4 @@
-//! What a job is made of, as programs and pages read it.
+//! JSON of a job's specification.
 
 use std::collections::BTreeSet;
 
@@ -10,18 +10,18 @@ use crate::file::FileNames;
 /// A job's specification as JSON, without the tables of its tasks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SpecJson {
-    /// Pixels, width and height.
+    /// Width and height in pixels.
     film: [u32; 2],
-    /// Pixels of a tile's side.
+    /// Side of a tile in pixels.
     tile: u32,
     frames: Vec<u32>,
     tags: Vec<String>,
     stages: Vec<StageJson>,
-    /// Name of the clip's file, where the job makes one.
+    /// Name of the clip's file, if the job makes one.
     clip: Option<String>,
-    /// Name of the contact sheet's file, where the job makes one.
+    /// Name of the contact sheet's file, if the job makes one.
     sheet: Option<String>,
-    /// Render settings, JSON within a string.
+    /// Render settings: JSON in a string.
     settings: String,
 }
 
@@ -30,9 +30,9 @@ struct StageJson {
     number: u16,
     kind: &'static str,
     scope: &'static str,
-    /// Numbers of the stages that it reads.
+    /// Numbers of the stages that the stage reads.
     needs: BTreeSet<u16>,
-    /// In each frame (or other scope) and round, before tasks are cut.
+    /// Number of tasks in each frame (or other scope) and round, not counting chunks.
     tasks: u32,
     rounds: u32,
 }
@@ -65,7 +65,8 @@ impl From<&JobSpec> for SpecJson {
     }
 }
 
-/// Relative error that each frame of a job is to reach; `None`: the job stops by samples or by time, or says nothing of it.
+/// Returns the target relative error of each frame of a job; `None`: samples or time end the job, or the settings do not state a
+/// target.
 pub fn error_target(spec: &JobSpec) -> Option<f64> {
     #[derive(Deserialize)]
     struct Settings {

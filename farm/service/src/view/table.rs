@@ -1,29 +1,30 @@
-//! A job frame by frame and task by task, as programs and pages read it.
+//! JSON of a job's frames and tasks.
 
 use femc_model::{FrameStatus, Output, Role, TaskStatus, Times};
 use serde::Serialize;
 
-/// A frame as JSON; number 0: the job's own stages.
+/// A frame as JSON. Number 0 stands for the job's own stages.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameJson {
     frame: u32,
     state: &'static str,
-    /// Kind of the stage in work.
+    /// Kind of the stage in progress.
     stage: Option<&'static str>,
     tiles_done: u32,
     tiles: u32,
     running: u32,
-    /// Attempts at its tasks that have ended.
+    /// Number of ended attempts at its tasks.
     attempts: u32,
     samples: u64,
-    /// `None` also where no sample met light.
+    /// Relative error; `None` also if no sample found light.
     relative_error: Option<f64>,
-    /// Blocks of the frame, and those in which no sample met light.
+    /// Blocks of the frame, and those in which no sample found light.
     blocks: Option<u32>,
     unlit_blocks: Option<u32>,
-    /// From the first lease to the last result, once it is done: also the time in which workers did other tasks.
+    /// Seconds from the first lease to the last result, once the frame is done. This includes time in which workers ran other
+    /// tasks.
     seconds: Option<f64>,
-    /// Rounds that it took, once it is done.
+    /// Number of rounds, once the frame is done.
     rounds: Option<u32>,
     #[serde(flatten)]
     times: TimesJson,
@@ -31,14 +32,14 @@ pub struct FrameJson {
     outputs: Vec<OutputJson>,
 }
 
-/// Time of attempts that have ended, as JSON; null: none has ended, or it is not known.
+/// Times of ended attempts, as JSON; null: no attempt has ended, or the times are not known.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 struct TimesJson {
     /// Processor seconds of all attempts, summed.
     processor_seconds: Option<f64>,
     /// Seconds that workers spent in attempts, summed.
     wall_seconds: Option<f64>,
-    /// Seconds between the first lease and the end of the last one in which no attempt ran.
+    /// Seconds without a running attempt, between the first lease and the end of the last one.
     waiting_seconds: Option<f64>,
 }
 
@@ -67,8 +68,8 @@ impl From<&Output> for OutputJson {
 }
 
 impl FrameJson {
-    /// Of a frame.
-    /// - `pixels`: of the film.
+    /// Makes the JSON of a frame.
+    /// - `pixels`: number of pixels of the film.
     pub fn new(frame: &FrameStatus, pixels: u64) -> Self {
         let (progress, record) = (frame.progress.as_ref(), frame.record.as_ref());
         let blocks = match record {
@@ -107,13 +108,13 @@ pub struct TaskJson {
     frame: u32,
     round: u32,
     stage: &'static str,
-    /// Of the stage.
+    /// Number of the stage.
     number: u16,
     index: u32,
     state: &'static str,
     workers: Vec<String>,
     attempts: u32,
-    /// Since the first of its leases, while it runs or is queued.
+    /// Seconds since the first lease of the task, while it runs or is queued.
     seconds: Option<f64>,
     #[serde(flatten)]
     times: TimesJson,

@@ -1,10 +1,10 @@
-//! Usage by owner and month: the columns of its tables and the keys of its JSON.
+//! Farm usage by owner and month: columns of the tables and keys of the JSON.
 
 use femc_model::OwnerUsage;
 
 use crate::attempts::{Cell, Column, Kind, Reader, column};
 
-/// Columns of a table of usage.
+/// Returns the columns of a usage table.
 pub fn usage_columns() -> Vec<Column<OwnerUsage>> {
     let column = column::<OwnerUsage>;
     vec![

@@ -1,4 +1,4 @@
-//! A worker as programs and pages read it.
+//! JSON of workers.
 
 use femc_model::{Intake, OfflineWorker, WorkerStatus};
 use serde::Serialize;
@@ -36,13 +36,13 @@ impl From<&WorkerStatus> for WorkerJson {
 }
 
 impl WorkerJson {
-    /// With another measure of its silence.
+    /// Replaces the time of silence with a transformed one.
     pub fn silent(self, measure: impl FnOnce(f64) -> f64) -> Self {
         Self { silent_seconds: measure(self.silent_seconds), ..self }
     }
 }
 
-/// A worker that was there, as JSON.
+/// A disconnected worker as JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OfflineJson {
     name: String,
@@ -54,7 +54,7 @@ pub struct OfflineJson {
 }
 
 impl OfflineJson {
-    /// What stands in place of the intake.
+    /// Word shown in place of the intake of a disconnected worker.
     pub const OFFLINE: &str = "offline";
 }
 
@@ -65,7 +65,7 @@ impl From<&OfflineWorker> for OfflineJson {
     }
 }
 
-/// Whether it gets more tasks, in one word.
+/// Returns in one word whether a worker gets more tasks.
 pub fn intake(intake: Intake) -> &'static str {
     match intake {
         Intake::Open => "open",

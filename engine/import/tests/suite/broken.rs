@@ -1,8 +1,8 @@
-//! Broken scenes: each gives one error that names file, line and column, and says what is wrong.
+//! Tests of broken scenes: each gives one error that names file, line and column, and the fault.
 
 use crate::common::try_files;
 
-/// What is broken; the scene `t.mgf`; where the error is; a part of what it says.
+/// Name of the case; the scene `t.mgf`; position of the error; a part of its message.
 pub const TABLE: &[(&str, &str, &str, &str)] = &[
     // Numbers and arguments.
     ("word for a number", "v a =\np 1 two 3", "t.mgf:2:5", "`two` is not a number"),
@@ -213,7 +213,7 @@ fn includes_that_double_at_each_level_are_stopped_by_their_volume() {
     assert!(error.to_string().contains("the includes add up to more than 1000000 files"), "{error}");
 }
 
-/// Files that say they are huge, and fail the test if they are read.
+/// Files that claim a huge size, and fail the test if they are read.
 struct Huge;
 
 impl femc_import::Files for Huge {

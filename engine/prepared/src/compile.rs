@@ -367,7 +367,7 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// Adds a luminaire: the faces of its opening, which have an emission over a black body, or nothing to hit for a point.
+    /// Adds a luminaire: the faces of its opening, with a black material under their emission. A point luminaire has nothing to hit.
     fn add_luminaire(&self, luminaire: &Luminaire, out: &mut Output) {
         let emitter = out.emitters.len() as u32;
         let material = self.scene.materials.len() as u32;

@@ -367,7 +367,8 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// Adds a luminaire: the faces of its opening, with a black material under their emission. A point luminaire has nothing to hit.
+    /// Adds a luminaire: the faces of its opening, with a black material under their emission. A point luminaire has nothing to
+    /// hit.
     fn add_luminaire(&self, luminaire: &Luminaire, out: &mut Output) {
         let emitter = out.emitters.len() as u32;
         let material = self.scene.materials.len() as u32;

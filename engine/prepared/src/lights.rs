@@ -121,14 +121,14 @@ impl Lights {
         AlongSegment { origin, dir, range: (start, end.min(start + reach)), end, angles, extinction, phase }
     }
 
-    /// Computes weights of all lights for a place; later choices read them from `choice`.
+    /// Computes weights of all lights for a point or segment. Later choices read them from `choice`.
     #[inline]
     pub fn weigh(&self, place: &impl Wanting, choice: &mut Choice) {
         self.many.weigh(place, choice);
     }
 
-    /// Chooses a light for a weighed place, with `u` in [0, 1). Returns (index, probability), or `None` if no light can reach the
-    /// place.
+    /// Chooses a light for a weighed point or segment, with `u` in [0, 1). Returns (index, probability), or `None` if no light can
+    /// reach it.
     #[inline]
     pub fn choose(&self, choice: &Choice, place: &impl Wanting, u: f64) -> Option<(u32, f32)> {
         self.many.choose(choice, place, u)

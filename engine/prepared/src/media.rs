@@ -36,7 +36,7 @@ pub struct KernelMedium {
     pub sigma_s: Rgb,
     /// Extinction coefficient at density 1, 1/m.
     pub sigma_t: Rgb,
-    /// Emitted radiance per metre at density 1, cd/m2/m.
+    /// Emitted radiance per meter at density 1, cd/m2/m.
     pub glow: Rgb,
     /// Phase function.
     pub phase: Phase,

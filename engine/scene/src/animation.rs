@@ -22,12 +22,12 @@ use femc_math::{
 use serde::Serialize;
 
 impl Clip {
-    /// Number of frames: counts the frames k = 1, 2, .. whose time is before the end plus half a frame; at least 1.
+    /// Returns the number of frames: of the frames k = 1, 2, .. whose time is before the end plus half a frame; at least 1.
     pub fn frame_count(&self) -> u32 {
         (((self.end - self.start) * self.fps + 0.5).ceil() as u32).max(1)
     }
 
-    /// Time of frame `k` (the first is 1), s.
+    /// Returns the time of frame `k` (the first is 1), s.
     pub fn frame_time(&self, k: u32) -> f64 {
         self.start + (f64::from(k) - 1.0) / self.fps
     }
@@ -73,7 +73,7 @@ impl MotionPath {
         .transform()
     }
 
-    /// Whether the pose is the same at all times.
+    /// Returns whether the pose is the same at all times.
     pub fn is_constant(&self) -> bool {
         self.keys.windows(2).all(|pair| pair[0].pose == pair[1].pose)
     }
@@ -97,7 +97,7 @@ impl MotionPath {
         self.keys[first].pose == self.keys[first + 1].pose
     }
 
-    /// Translation at fraction `u` of the segment that begins at key `first`.
+    /// Returns the translation at fraction `u` of the segment that begins at key `first`.
     fn spline(&self, first: usize, u: f64) -> DVec3 {
         let point = |key: &Key| key.pose.translation;
         let (p1, p2) = (point(&self.keys[first]), point(&self.keys[first + 1]));
@@ -146,7 +146,7 @@ impl Similarity {
     }
 }
 
-/// Spherical linear interpolation on the shorter arc (\[shoemake1985\]). Takes and returns unit quaternions.
+/// Interpolates linearly on the sphere, on the shorter arc (\[shoemake1985\]). Takes and returns unit quaternions.
 fn slerp(a: DQuat, b: DQuat, u: f64) -> DQuat {
     let b = if a.dot(b) < 0.0 { -b } else { b };
     // Twice the angle between half-sum and half-difference: accurate near 0, where acos is not.
@@ -171,7 +171,7 @@ impl Motion {
         })
     }
 
-    /// Whether the transform changes over time.
+    /// Returns whether the transform changes over time.
     pub fn is_animated(&self, paths: &[MotionPath]) -> bool {
         self.steps.iter().any(|step| match step {
             MotionStep::Static(_) => false,
@@ -201,12 +201,12 @@ impl Camera {
 }
 
 impl Scene {
-    /// Number of frames of the clip; 1 for a still.
+    /// Returns the number of frames of the clip; 1 for a still.
     pub fn frame_count(&self) -> u32 {
         self.clip.map_or(1, |clip| clip.frame_count())
     }
 
-    /// Time of frame `k` (the first is 1), s; 0 for a still.
+    /// Returns the time of frame `k` (the first is 1), s; 0 for a still.
     pub fn frame_time(&self, k: u32) -> f64 {
         self.clip.map_or(0.0, |clip| clip.frame_time(k))
     }

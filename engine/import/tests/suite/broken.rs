@@ -34,7 +34,7 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
     ("undefined path", "xf -path drive", "t.mgf:1:10", "undefined path `drive`"),
     ("undefined camera path", "camera c =\nalong drive", "t.mgf:2:7", "undefined path `drive`"),
     ("undefined color in a mixture", "c a =\ncmix 1 a 1 b", "t.mgf:2:12", "undefined color `b`"),
-    // Colours.
+    // Colors.
     ("negative chromaticity", "cxy .3 -.1", "t.mgf:1:8", "y is -0.1; it must be in [0, 1]"),
     ("chromaticity outside the diagram", "cxy .7 .6", "t.mgf:1:5", "x + y is 1.2999"),
     ("spectrum without a positive value", "cspec 400 700 -1 0 -1", "t.mgf:1:1", "no visible light"),

@@ -27,7 +27,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// Emittance at its largest over the clip, lm/m2.
+/// Returns the maximum emittance over the clip, lm/m2.
 fn emittance(scope: &Scope<'_>, material: &Material) -> f64 {
     scope.scene.largest(&format!("material.{}", material.name), "ed", material.ed.amount)
 }

@@ -24,7 +24,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// `material `name``, or `the unnamed material`.
+/// Returns `material `name``, or `the unnamed material`.
 pub(super) fn title(material: &Material) -> String {
     if material.name.is_empty() { "the unnamed material".into() } else { format!("material `{}`", material.name) }
 }

@@ -123,7 +123,7 @@ impl fmt::Display for DisplayFault<'_> {
     }
 }
 
-/// `file:line`.
+/// Formats a location as `file:line`.
 fn place(scene: &Scene, location: Location) -> String {
     let file = scene.files.get(location.file as usize).map_or("scene", String::as_str);
     format!("{file}:{}", location.line)

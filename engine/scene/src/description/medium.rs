@@ -46,7 +46,7 @@ pub struct Medium {
     pub location: Location,
     /// Scattering coefficient, 1/m (the amount; selectors set it).
     pub sigma_s: f64,
-    /// Colour factor on `sigma_s`; (1, 1, 1) unless raw RGB was given.
+    /// Color factor on `sigma_s`; (1, 1, 1) unless raw RGB was given.
     pub color: [f64; 3],
     /// Absorption coefficient, 1/m (the amount; selectors set it).
     pub sigma_a: f64,
@@ -54,9 +54,9 @@ pub struct Medium {
     pub absorption_color: [f64; 3],
     /// Phase function.
     pub phase: Phase,
-    /// Isotropic emission, lm/m3: the emitted radiance per metre is `glow / (4 pi)`.
+    /// Isotropic emission, lm/m3: the emitted radiance per meter is `glow / (4 pi)`.
     pub glow: f64,
-    /// Colour of the glow, luminance 1 unless raw RGB.
+    /// Color of the glow, luminance 1 unless raw RGB.
     pub glow_color: [f64; 3],
     /// Density factor.
     pub density: Density,

@@ -7,7 +7,7 @@ pub fn nearest(wanted: &str, names: &[String]) -> Vec<String> {
     ranked.into_iter().take(3).map(|(_, name)| name.clone()).collect()
 }
 
-/// Edit distance that counts inserted, deleted, changed and transposed neighboring letters (optimal string alignment
+/// Returns the edit distance that counts inserted, deleted, changed and transposed neighboring letters (optimal string alignment
 /// \[boytsov2011\]).
 fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());

@@ -129,12 +129,12 @@ impl Slot {
         }
     }
 
-    /// Whether the scalar has only two values.
+    /// Returns whether the scalar has only two values.
     pub(super) fn is_switch(&self) -> bool {
         matches!(self, Self::Hidden(_) | Self::Material(_, MaterialField::Sides))
     }
 
-    /// Whether the scalar holds for the whole clip and so cannot vary over time.
+    /// Returns whether the scalar holds for the whole clip and so cannot vary over time.
     pub(super) fn is_timeless(&self) -> bool {
         matches!(self, Self::Clip(_) | Self::Camera(_, CameraField::Film(_)))
     }

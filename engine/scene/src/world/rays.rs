@@ -47,7 +47,7 @@ impl Hit {
 }
 
 impl Scope<'_> {
-    /// Distance within which a ray does not hit the surface that it starts on, m.
+    /// Returns the distance within which a ray does not hit the surface that it starts on, m.
     pub fn offset(&self) -> f64 {
         1e-9 * self.bounds.magnitude().max(self.bounds.diagonal())
     }

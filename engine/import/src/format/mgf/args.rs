@@ -25,7 +25,7 @@ impl<'a> Args<'a> {
         String::from_utf8_lossy(self.tokens[0].text)
     }
 
-    /// Number of arguments.
+    /// Returns the number of arguments.
     pub fn len(&self) -> usize {
         self.tokens.len() - 1
     }

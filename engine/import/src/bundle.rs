@@ -216,7 +216,7 @@ mod tests {
         }
     }
 
-    /// Bundles are in memory and use exact names: two names that a case-insensitive disk would confuse are two files.
+    /// Names in a bundle are exact: two names that a case-insensitive disk would confuse are two files.
     #[test]
     fn a_name_twice_is_refused_and_names_that_differ_in_case_are_two_files() {
         let file = |name: &str| {

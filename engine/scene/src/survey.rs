@@ -34,9 +34,9 @@ pub struct Lamp {
     pub kind: LampKind,
     /// Number of lamps.
     pub count: u64,
-    /// Luminous flux of each, lm, at the start of the clip.
+    /// Luminous flux of each lamp, lm, at the start of the clip.
     pub lumens: f64,
-    /// Emitting area of each, m2, counting both sides of two-sided surfaces; `None` for luminaires and media.
+    /// Emitting area of each lamp, m2, counting both sides of two-sided surfaces; `None` for luminaires and media.
     pub area: Option<f64>,
     /// Location of the first lamp.
     pub location: Location,

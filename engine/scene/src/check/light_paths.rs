@@ -67,7 +67,7 @@ struct Found {
     begun: u32,
     /// Number of walks that left the scene.
     escaped: u32,
-    /// Number of points found lit by a lamp, including lamps that were hit.
+    /// Number of pairs of a point and a lamp that lights it; a walk that hits a lamp also counts.
     lit: u32,
 }
 
@@ -116,7 +116,7 @@ fn is_lamp(scope: &Scope<'_>, hit: &Hit, normal: DVec3) -> bool {
         .is_some_and(|material| (faces || material.sides == crate::Sides::Two) && crate::world::emits(scope, material))
 }
 
-/// Returns the backs of surfaces that a lamp's light crosses on its way to a point; `None` if it does not arrive.
+/// Returns the invisible backs of surfaces that a lamp's light crosses on its way to a point; `None` if it does not arrive.
 fn lights(scope: &Scope<'_>, lamp: &LampPoint, place: DVec3, normal: DVec3) -> Option<Vec<Hit>> {
     let way = lamp.place - place;
     let is_before = lamp.normal.is_none_or(|facing| facing.dot(way) < 0.0);

@@ -51,7 +51,7 @@ impl fmt::Display for Severity {
 pub enum FaultKind {
     /// A surface without area.
     DegenerateSurface,
-    /// A face whose corners are not in one plane.
+    /// A face whose corners do not lie in one plane.
     NonPlanarFace,
     /// Surfaces that overlap in one plane.
     OverlappingFaces,
@@ -65,7 +65,7 @@ pub enum FaultKind {
     EnergyGain,
     /// A color with a negative channel.
     OutOfGamut,
-    /// A medium that is placed nowhere, or in no volume.
+    /// A medium that is not placed, or whose region has no volume.
     MediumWithoutBounds,
     /// Media nested deeper than a path can track.
     NestedMedia,

@@ -130,7 +130,7 @@ pub struct Scalars {
     pub objects: Vec<Object>,
     /// As [`Scene::media`].
     pub media: Vec<Medium>,
-    /// As [`Scene::cameras`]; not yet carried along their paths ([`Camera::at`]).
+    /// As [`Scene::cameras`]; not yet moved along their paths ([`Camera::at`]).
     pub cameras: Vec<Camera>,
     /// As [`Scene::paths`].
     pub paths: Vec<MotionPath>,

@@ -78,7 +78,7 @@ fn seen(scope: &Scope<'_>, ray: &mut Ray, dice: &mut Dice) -> Option<Hit> {
 }
 
 impl Scope<'_> {
-    /// Returns the surfaces between two points that are invisible from behind, in order; `None` if a surface stops the light.
+    /// Returns the surfaces between two points that are invisible to the ray, in order; `None` if another surface stops the light.
     pub fn passages(&self, from: DVec3, to: DVec3) -> Option<Vec<Hit>> {
         let mut passed = Vec::new();
         let mut ray = Ray { origin: from, dir: (to - from).try_normalize()?, far: 0.0 };

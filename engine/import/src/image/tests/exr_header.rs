@@ -176,7 +176,7 @@ fn chromaticities_are_converted_to_rec_709() {
         assert!((f64::from(*value) - wanted.max(0.0)).abs() < 1e-3, "{converted:?}");
     }
     assert!(remarks.is_empty(), "{remarks:?}");
-    // Directions have no primaries, and points on a line span no colors.
+    // Normal maps have no primaries, and collinear primaries span no color space.
     assert_eq!(read(&bytes(of(rec2020)), Role::Normals), Ok(([-0.5, 0.0, 0.0], vec![])));
     let (same, remarks) = read(&bytes(of([(0.3, 0.3); 4])), Role::Color).unwrap();
     assert!(same == [0.25, 0.5, 0.5] && remarks[0].contains("span no colors"), "{remarks:?}");

@@ -81,7 +81,7 @@ pub fn add_face(group: &mut Group, corners: &[[f64; 3]], material: u32, at: u32)
     });
 }
 
-/// Adds the six outward faces of an axis-parallel box on lines `at` to `at + 5`.
+/// Adds the six outward faces of an axis-aligned box on lines `at` to `at + 5`.
 pub fn add_box(group: &mut Group, [x0, y0, z0]: [f64; 3], [x1, y1, z1]: [f64; 3], material: u32, at: u32) {
     let faces = [
         [[x0, y0, z0], [x0, y1, z0], [x1, y1, z0], [x1, y0, z0]],

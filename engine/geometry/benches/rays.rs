@@ -1,4 +1,4 @@
-//! `cargo bench -p femc-geometry --features yardsticks`: building, closest hits and shadow rays on meshes made here.
+//! Benchmarks of building, closest hits and shadow rays on generated meshes: `cargo bench -p femc-geometry --features yardsticks`.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;

@@ -1,9 +1,10 @@
-//! Rays per second beside plain obvhs trees on the same rays:
+//! Compares rays per second with plain obvhs trees on the same rays:
 //! `cargo run --release -p femc-geometry --features yardsticks --example rays [MESH.bin]`.
 //!
-//! Without a file it traces a Cornell box of 36 triangles and a bumpy terrain of half a million. A file holds u32 vertex and triangle counts,
-//! ten f32 of a camera (origin, target, up, vertical field of view in degrees), positions and indices. All contenders trace the same
-//! primary rays ("coherent") and cosine-distributed rays from what those hit ("bounce"); the best of the interleaved rounds counts.
+//! Without a file it traces a Cornell box of 36 triangles and a bumpy terrain of half a million. A file contains u32 vertex and
+//! triangle counts, ten f32 of a camera (origin, target, up, vertical field of view in degrees), positions and indices. All
+//! contenders trace the same primary rays ("coherent") and cosine-distributed rays from their hit points ("bounce"). The best of
+//! the interleaved rounds counts.
 
 use femc_geometry::{Blas, Cull, InstanceInput, Pose, Ray, TriangleInput, World, offset_origin};
 use femc_math::{
@@ -20,7 +21,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// A mesh and a view of it.
+/// A mesh and a camera.
 pub struct Mesh {
     pub name: String,
     pub triangles: Vec<[Vec3A; 3]>,
@@ -29,7 +30,7 @@ pub struct Mesh {
 
 /// Number of hits and sum of distances.
 pub type Answer = (usize, f64);
-/// Something that traces rays.
+/// A named ray tracer.
 pub type Contender = (String, Box<dyn Fn(&[Ray]) -> Answer + Sync>);
 
 fn random(state: &mut u64) -> f32 {
@@ -68,7 +69,7 @@ fn push_box(out: &mut Vec<[Vec3A; 3]>, center: Vec3A, half: Vec3A, turn: f32, fa
     }
 }
 
-/// A room without its front wall, two blocks and a lamp: 36 triangles.
+/// Returns a room without its front wall, with two blocks and a lamp: 36 triangles.
 pub fn cornell() -> Mesh {
     let mut triangles = Vec::new();
     push_box(&mut triangles, Vec3A::splat(2.75), Vec3A::splat(2.75), 0.0, &[0, 1, 3, 4, 5]);
@@ -78,7 +79,7 @@ pub fn cornell() -> Mesh {
     Mesh { name: "cornell".into(), triangles, camera: [2.75, -8.0, 2.75, 2.75, 0.0, 2.75, 0.0, 0.0, 1.0, 39.0] }
 }
 
-/// A bumpy square of 2 n^2 triangles in a closed box.
+/// Returns a bumpy square of 2 n^2 triangles in a closed box.
 pub fn terrain(n: usize) -> Mesh {
     let at = |i: usize, j: usize| {
         let (x, y) = (20.0 * i as f32 / n as f32 - 10.0, 20.0 * j as f32 / n as f32 - 10.0);
@@ -102,14 +103,14 @@ pub fn terrain(n: usize) -> Mesh {
     }
 }
 
-/// The world of the mesh.
+/// Returns the world of the mesh.
 pub fn world(mesh: &Mesh) -> World {
     let triangles = mesh.triangles.iter().map(|&vertices| TriangleInput { vertices, cull: Cull::None }).collect();
     let blas = Arc::new(Blas::build(triangles, vec![]));
     World::build(vec![InstanceInput { blas, pose: Pose::Fixed(Affine3A::IDENTITY) }])
 }
 
-/// Primary rays through n^2 pixels, and one bounce of each.
+/// Returns primary rays through n^2 pixels, and one bounce of each.
 pub fn rays(mesh: &Mesh, world: &World, n: usize) -> [Vec<Ray>; 2] {
     let c = &mesh.camera;
     let origin = Vec3A::new(c[0], c[1], c[2]);
@@ -144,7 +145,7 @@ fn tally(rays: &[Ray], trace: impl Fn(&Ray) -> Option<f32>) -> Answer {
     rays.iter().filter_map(trace).fold((0, 0.0), |(n, s), t| (n + 1, s + f64::from(t)))
 }
 
-/// The world and the plain obvhs trees.
+/// Returns the world and the plain obvhs trees as contenders.
 pub fn contenders(mesh: &Mesh, world: World) -> Vec<Contender> {
     let all: Vec<Triangle> = mesh.triangles.iter().map(|&[v0, v1, v2]| Triangle { v0, v1, v2 }).collect();
     let params = BvhBuildParams::medium_build();
@@ -178,7 +179,7 @@ pub fn contenders(mesh: &Mesh, world: World) -> Vec<Contender> {
     ]
 }
 
-/// Million rays per second on `threads` threads, and the answer.
+/// Returns million rays per second on `threads` threads, and the answer.
 fn time(rays: &[Ray], threads: usize, trace: &(dyn Fn(&[Ray]) -> Answer + Sync)) -> (f64, Answer) {
     let start = Instant::now();
     let chunk = rays.len().div_ceil(threads);

@@ -1,4 +1,4 @@
-//! The surfaces of one group in its own frame, with their tree.
+//! Surfaces of one group in its own frame, with their tree.
 
 use crate::{
     Aabb, Facing, Quadric,
@@ -7,20 +7,20 @@ use crate::{
 };
 use femc_math::glam::Vec3A;
 
-/// Whether a surface is there for rays that come from behind.
+/// Visibility of a surface to rays that come from behind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Cull {
     /// Visible from both sides.
     #[default]
     None,
-    /// Invisible from behind: rays pass.
+    /// Invisible from behind: rays pass through.
     Back,
 }
 
 /// A triangle, counter-clockwise seen from the front.
 #[derive(Clone, Copy, Debug)]
 pub struct TriangleInput {
-    /// Vertices, m. Neighbours are watertight when they share the very same floats.
+    /// Vertices, m. Neighbors are watertight if they share bit-identical floats.
     pub vertices: [Vec3A; 3],
     /// Visibility from behind.
     pub cull: Cull,
@@ -35,18 +35,18 @@ pub struct ShapeInput {
     pub cull: Cull,
 }
 
-/// Up to eight triangles. Unused slots hold NaN vertices, which no ray meets.
+/// Up to eight triangles. Unused slots contain NaN vertices, which no ray hits.
 #[derive(Clone, Debug)]
 #[repr(C, align(32))]
 pub(crate) struct Block {
-    /// By axis: the three vertices' and the normal's coordinate.
+    /// Coordinates of the three vertices and the normal, by axis.
     pub rows: [[Lanes; 4]; 3],
     pub primitives: [u32; WIDTH],
     /// Bit i: triangle i is invisible from behind.
     pub culled: u32,
 }
 
-/// An analytic shape as the kernels test it.
+/// An analytic shape in the form that the kernels test.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shape {
     pub quadric: Quadric,
@@ -55,7 +55,8 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    /// Which crossings count; `mirrored`: the shape is seen through a map of negative determinant, which turns its sides.
+    /// Returns the crossings that count. `mirrored`: the shape is seen through a map of negative determinant, which swaps its
+    /// sides.
     #[inline]
     pub fn crossings(&self, mirrored: bool) -> Crossings {
         match (self.cull, (self.quadric.facing() == Facing::Outward) != mirrored) {
@@ -66,7 +67,7 @@ impl Shape {
     }
 }
 
-/// A bottom-level tree: triangles and shapes in the frame of their group. Immutable, shared by instances.
+/// A bottom-level tree: triangles and shapes in the frame of their group. It is immutable, and instances share it.
 #[derive(Clone, Debug)]
 pub struct Blas {
     pub(crate) tree: Tree,
@@ -74,13 +75,13 @@ pub struct Blas {
     pub(crate) shapes: Vec<Shape>,
     /// Vertices by primitive index.
     pub(crate) triangles: Vec<[[f32; 3]; 3]>,
-    /// Shapes by primitive index less the number of triangles.
+    /// Shapes by primitive index minus the number of triangles.
     pub(crate) quadrics: Vec<Quadric>,
 }
 
 impl Blas {
-    /// Builds the tree. Primitive indices are positions in `triangles`, then `triangles.len()` + positions in `shapes`.
-    /// Triangles without area and surfaces with coordinates that are not finite keep their index and are never hit.
+    /// Builds the tree. Primitive indices are positions in `triangles`, then `triangles.len()` + positions in `shapes`. Triangles
+    /// without area and surfaces with non-finite coordinates keep their index and are never hit.
     #[expect(clippy::needless_pass_by_value, reason = "the inputs end here; taking them says so")]
     pub fn build(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>) -> Self {
         let mut boxes = Vec::with_capacity(triangles.len() + shapes.len());
@@ -115,27 +116,27 @@ impl Blas {
         }
     }
 
-    /// Vertices of a triangle, group's frame, m; `None` for shapes.
+    /// Returns the vertices of a triangle, group's frame, m; `None` for shapes.
     pub fn triangle(&self, primitive: u32) -> Option<[Vec3A; 3]> {
         self.triangles.get(primitive as usize).map(|t| t.map(Vec3A::from_array))
     }
 
-    /// An analytic shape, group's frame, m; `None` for triangles.
+    /// Returns an analytic shape, group's frame, m; `None` for triangles.
     pub fn quadric(&self, primitive: u32) -> Option<Quadric> {
         (primitive as usize).checked_sub(self.triangles.len()).and_then(|index| self.quadrics.get(index).copied())
     }
 
-    /// Bounds of all that can be hit, in the group's frame; empty if there is nothing.
+    /// Returns the bounds of all surfaces that can be hit, in the group's frame; empty if there are none.
     pub fn bounds(&self) -> Aabb {
         self.tree.bounds
     }
 
-    /// Number of primitives, those that cannot be hit included.
+    /// Returns the number of primitives, including those that cannot be hit.
     pub fn primitive_count(&self) -> usize {
         self.triangles.len() + self.quadrics.len()
     }
 
-    /// Memory of the tree and of what it refers to, bytes.
+    /// Returns the memory of the tree and the data that it references, bytes.
     pub fn memory(&self) -> usize {
         size_of_val(&*self.tree.nodes)
             + size_of_val(&*self.blocks)
@@ -145,7 +146,7 @@ impl Blas {
     }
 }
 
-/// Unit normal of the front, by f64; none without area or with coordinates that are not finite.
+/// Returns the unit normal of the front, computed in f64; `None` without area or with non-finite coordinates.
 fn unit_normal(vertices: &[Vec3A; 3]) -> Option<Vec3A> {
     let [a, b, c] = vertices.map(|v| v.as_dvec3());
     (b - a).cross(c - a).try_normalize().map(|n| n.as_vec3a()).filter(|_| vertices.iter().all(|v| v.is_finite()))
@@ -176,7 +177,7 @@ impl LeafRule for Leaves<'_> {
     }
 
     fn cost(&self, a: u32, count: usize) -> f32 {
-        // Measured: a block takes about as long as a node, a shape about four times as long.
+        // By measurement, a block takes about as long as a node, a shape about four times as long.
         if self.is_triangle(a) { 0.9 + 0.05 * count as f32 } else { 4.0 }
     }
 

@@ -3,12 +3,12 @@ use femc_math::{
     glam::{Affine3A, Vec3A},
 };
 
-/// A point on a surface, with what is needed to leave it.
+/// A point on a surface, with the data needed to leave it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interaction {
-    /// World frame, m.
+    /// Position, world frame, m.
     pub position: Vec3A,
-    /// Absolute bound per axis of the position's error and of what a test of a ray from there can get wrong, m.
+    /// Absolute bound per axis, m, of the position's error plus the error of a test of a ray from there.
     pub error: Vec3A,
     /// Geometric unit normal on the front side, world frame.
     pub normal: Vec3A,
@@ -16,10 +16,11 @@ pub struct Interaction {
     pub uv: [f32; 2],
 }
 
-/// The point of the triangle `vertices` at barycentric weights `u`, `v` of the second and third vertex, in the triangle's frame.
+/// Returns the point of the triangle `vertices` at barycentric weights `u`, `v` of the second and third vertex, in the triangle's
+/// frame.
 ///
-/// The error bound is gamma(7) sum |b_i p_i| for the interpolation, plus gamma(6) times the triangle's extent seen from the point: with
-/// it, the kernel's sign of `normal . (vertex - origin)` is right for every origin that
+/// The error bound is gamma(7) sum |b_i p_i| for the interpolation, plus gamma(6) times the triangle's extent seen from the point.
+/// With this bound, the kernel's sign of `normal . (vertex - origin)` is correct for every origin that
 /// [`offset_origin`](crate::offset_origin) returns.
 #[inline]
 pub fn triangle_interaction(vertices: &[Vec3A; 3], u: f32, v: f32) -> Interaction {
@@ -33,8 +34,8 @@ pub fn triangle_interaction(vertices: &[Vec3A; 3], u: f32, v: f32) -> Interactio
 }
 
 impl Interaction {
-    /// This point in the parent frame. The error bound grows by the rounding of the map, and by that of the inverse map, which the
-    /// next ray from here goes through.
+    /// Transforms this point to the parent frame. The error bound grows by the rounding of the map, and by that of the inverse map,
+    /// which the next ray from here uses.
     #[inline]
     pub(crate) fn transformed(&self, to_parent: &Affine3A, to_local: &Affine3A) -> Self {
         let position = to_parent.transform_point3a(self.position);

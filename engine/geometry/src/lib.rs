@@ -1,14 +1,13 @@
 //! Ray tracing: trees of triangles and analytic shapes, placed in a world by fixed or moving poses.
 //!
-//! A [`Blas`] holds the surfaces of one group in its own frame; a [`World`] holds placed groups and answers
-//! [`World::intersect`] and [`World::occluded`]. Binary trees by surface area are collapsed into eight-wide
-//! ones; the kernels test eight boxes or eight triangles at once, with AVX2 where the processor has it
-//! and with equal bits elsewhere.
+//! A [`Blas`] contains the surfaces of one group in its own frame. A [`World`] contains placed groups and answers
+//! [`World::intersect`] and [`World::occluded`]. Binary trees built by surface area are collapsed into eight-wide ones. The kernels
+//! test eight boxes or eight triangles at once, with AVX2 if the processor has it, and with equal bits elsewhere.
 //!
-//! Everything is f32 in metres, in coordinates that the preparation of a frame has moved near the origin; shapes other than
-//! triangles compute in f64 inside. No epsilons: triangles are watertight (\[woop2013\]), positions carry error bounds and
-//! rays leave a surface by those bounds (\[pharr2023\]). Hits do not depend on the layout of the trees: of equal
-//! distances the lowest (instance, primitive) wins.
+//! All numbers are f32 in meters, in coordinates that the preparation of a frame has moved near the origin. Shapes other than
+//! triangles compute in f64 internally. There are no epsilons: triangles are watertight (\[woop2013\]), positions carry error
+//! bounds, and rays leave a surface by those bounds (\[pharr2023\]). Hits do not depend on the layout of the trees: at equal
+//! distances, the lowest (instance, primitive) wins.
 #![deny(missing_docs)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests compute what they expect apart from the engine"))]
 

@@ -6,18 +6,18 @@ use femc_math::{
     glam::{Affine3, Affine3A, Mat3, Mat3A, Quat, Vec3, Vec3A},
 };
 
-/// Where an instance is: local frame to world frame.
+/// Placement of an instance: local frame to world frame.
 #[derive(Clone, Debug)]
 pub enum Pose {
-    /// At one place.
+    /// A fixed pose.
     Fixed(Affine3A),
-    /// Poses at equally spaced times from 0 to 1 of the shutter. Between two, positions and scales go linearly and rotations by the
-    /// shortest arc; a shear is lost. One pose is the same as a fixed one.
+    /// Poses at equally spaced times from 0 to 1 of the shutter. Between two poses, positions and scales are interpolated linearly
+    /// and rotations along the shortest arc; a shear is lost. A single pose is equivalent to a fixed one.
     Moving(Vec<Affine3A>),
 }
 
-/// Whether left and right are exchanged. By scalars, as the parts of a pose: glam's wide types fuse products where the compiler may use
-/// FMA.
+/// Returns whether the pose mirrors. Uses scalar arithmetic, like the parts of a pose: glam's wide types fuse products where the
+/// compiler may use FMA.
 fn mirrors(pose: &Affine3A) -> bool {
     Mat3::from(pose.matrix3).determinant() < 0.0
 }
@@ -45,7 +45,7 @@ impl Placement {
     }
 }
 
-/// One pose in parts.
+/// Components of one pose.
 #[derive(Clone, Copy, Debug)]
 struct Parts {
     translation: Vec3A,
@@ -53,17 +53,18 @@ struct Parts {
     scale: Vec3,
 }
 
-/// A motion as the tracer evaluates it.
+/// A motion in the form that the tracer evaluates.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
     keys: Vec<Parts>,
-    /// By segment: the angle between the rotations as quaternions, radians, and 1 / its sine (0: too close for it).
+    /// For each segment, the angle between the rotations as quaternions, radians, and 1 / its sine; 0 if the angle is too small for
+    /// it.
     arcs: Vec<(f32, f32)>,
     pub mirrored: bool,
 }
 
 impl Motion {
-    /// Two poses at least.
+    /// Creates a motion from at least two poses.
     pub fn new(poses: &[Affine3A]) -> Self {
         let mut keys: Vec<Parts> = poses
             .iter()
@@ -124,8 +125,8 @@ impl Motion {
         Placement { to_world, to_local, mirrored: self.mirrored }
     }
 
-    /// A box around the moving `local` over the whole shutter: the boxes at steps of each segment, grown by how far a point can bulge
-    /// from the chord between steps, h^2 / 8 times the greatest acceleration of a corner.
+    /// Returns a box around the moving `local` over the whole shutter. It unites the boxes at steps of each segment, each grown by
+    /// the maximum distance of a point from the chord between steps: h^2 / 8 times the greatest acceleration of a corner.
     pub fn bounds(&self, local: &Aabb) -> Aabb {
         const STEPS: usize = 16;
         let reach = local.min.abs().max(local.max.abs()).length();
@@ -142,7 +143,8 @@ impl Motion {
                 total = total.union(local.transformed(&self.pose_at(time)).grown(bulge));
             }
         }
-        // Times between steps round; positions are linear in time between neighbouring boxes, so their union covers the chords.
+        // The times between steps are rounded. Between neighboring boxes positions are linear in time, so the union covers the
+        // chords.
         let slack = total.min.abs().max(total.max.abs()).max_element() * femc_math::gamma(8);
         total.grown(slack)
     }

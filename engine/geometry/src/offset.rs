@@ -1,12 +1,12 @@
-//! Leaving a surface: how far, follows from the error bound of the position and from nothing else (\[pharr2023\], 6.8.6).
+//! Ray origins that leave a surface: the offset follows only from the error bound of the position (\[pharr2023\], 6.8.6).
 
 use crate::Ray;
 use femc_math::{gamma, glam::Vec3A};
 
-/// The start of a ray that leaves the surface point `position` in direction `dir` and cannot hit that surface again.
+/// Returns the origin of a ray that leaves the surface point `position` in direction `dir` and cannot hit that surface again.
 /// - `error`: absolute bound per axis of the position's error, m (from [`Interaction`](crate::Interaction)).
-/// - `normal`: unit; either side. A zero normal (a point in space) leaves the position as it is.
-/// - `dir`: its side of the surface decides to which side the start moves.
+/// - `normal`: unit; either side. With a zero normal (a point in space) the position is unchanged.
+/// - `dir`: direction of the ray; its side of the surface determines the side to which the origin moves.
 #[inline]
 pub fn offset_origin(position: Vec3A, error: Vec3A, normal: Vec3A, dir: Vec3A) -> Vec3A {
     let distance = normal.abs().dot(error);
@@ -24,10 +24,10 @@ pub fn offset_origin(position: Vec3A, error: Vec3A, normal: Vec3A, dir: Vec3A) -
     Vec3A::new(away(moved.x, offset.x), away(moved.y, offset.y), away(moved.z, offset.z))
 }
 
-/// The open segment between two surface points, each given by (position, error bound, normal), for shadow rays: neither
-/// end's surface is hit. A point in space has a zero error and a zero normal.
+/// Returns the open segment between two surface points, each given by (position, error bound, normal), for shadow rays. It hits the
+/// surface of neither end. A point in space has a zero error and a zero normal.
 ///
-/// The far end moves by the ray's own error after that distance as well, so that rounding of the direction or of the distance cannot
+/// The far end is also moved by the ray's own error after that distance. So rounding of the direction or of the distance cannot
 /// carry the segment through the far surface.
 #[inline]
 pub fn segment(from: (Vec3A, Vec3A, Vec3A), to: (Vec3A, Vec3A, Vec3A), time: f32) -> Ray {

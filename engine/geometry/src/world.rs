@@ -1,4 +1,4 @@
-//! Placed instances and the queries on them.
+//! Placed instances, and the ray queries on them.
 
 use crate::{
     Aabb, Blas, Hit, Interaction, Pose, Ray,
@@ -13,12 +13,12 @@ use femc_math::{
 };
 use std::sync::Arc;
 
-/// A group placed in the world.
+/// A placed group.
 #[derive(Clone, Debug)]
 pub struct InstanceInput {
-    /// The group's surfaces.
+    /// Surfaces of the group.
     pub blas: Arc<Blas>,
-    /// Where it is.
+    /// Pose of the group.
     pub pose: Pose,
 }
 
@@ -35,17 +35,17 @@ struct Instance {
     place: Place,
 }
 
-/// All that can be hit in a frame. Immutable; queries may come from any thread.
+/// All surfaces of a frame. Immutable; queries may come from any thread.
 #[derive(Clone, Debug)]
 pub struct World {
     instances: Vec<Instance>,
-    /// The tree over the instances; its leaves are instance indices.
+    /// Tree over the instances; its leaves are instance indices.
     top: Tree,
     level: Level,
 }
 
 impl World {
-    /// Builds the tree over the instances; the trees in them are shared, not rebuilt.
+    /// Builds the tree over the instances. Their own trees are shared, not rebuilt.
     pub fn build(instances: Vec<InstanceInput>) -> Self {
         let instances: Vec<Instance> = instances
             .into_iter()
@@ -70,19 +70,19 @@ impl World {
         Self { instances, top, level: Level::detect() }
     }
 
-    /// The same world with the portable kernels, whatever the processor has: for the test that they agree.
+    /// Returns the world with the portable kernels, for any processor, to test that both kinds of kernels agree.
     #[cfg(test)]
     pub(crate) fn portable(mut self) -> Self {
         self.level = Level::PORTABLE;
         self
     }
 
-    /// Bounds of all that can be hit during the shutter; empty if there is nothing.
+    /// Returns the bounds of all surfaces that can be hit during the shutter; empty if there are none.
     pub fn bounds(&self) -> Aabb {
         self.top.bounds
     }
 
-    /// The closest hit with t in (0, `t_max`); of equally close ones that of the lowest (instance, primitive).
+    /// Returns the closest hit with t in (0, `t_max`). Among equally close hits, the lowest (instance, primitive) wins.
     #[inline]
     pub fn intersect(&self, ray: &Ray) -> Option<Hit> {
         let mut hit = match self.sole() {
@@ -99,7 +99,7 @@ impl World {
         Some(hit)
     }
 
-    /// Whether anything is hit with t in (0, `t_max`).
+    /// Returns whether anything is hit with t in (0, `t_max`).
     #[inline]
     pub fn occluded(&self, ray: &Ray) -> bool {
         match self.sole() {
@@ -108,7 +108,7 @@ impl World {
         }
     }
 
-    /// The surface point of `hit`, which `intersect` gave for `ray`.
+    /// Returns the surface point of `hit`, which `intersect` returned for `ray`.
     pub fn interaction(&self, ray: &Ray, hit: &Hit) -> Interaction {
         let blas = &self.instances[hit.instance as usize].blas;
         let place = self.placement(hit.instance, ray.time);
@@ -124,7 +124,7 @@ impl World {
                 let point = quadric.nearest(near);
                 let position = point.position.as_vec3a();
                 let bounds = quadric.bounds();
-                // Rounding to f32, and f64 arithmetic with the shape's largest coordinate.
+                // Rounding to f32, plus f64 arithmetic with the shape's largest coordinate.
                 let error = position.abs() * gamma(2) + bounds.min.abs().max(bounds.max.abs()).max_element() * 1e-12;
                 Interaction { position, error, normal: point.normal.as_vec3a(), uv: [hit.u, hit.v] }
             }
@@ -135,7 +135,7 @@ impl World {
         }
     }
 
-    /// The map of an instance's frame to the world's at a shutter time.
+    /// Returns the map from an instance's frame to the world's at a shutter time.
     pub fn pose_at(&self, instance: u32, time: f32) -> Affine3A {
         match &self.instances[instance as usize].place {
             Place::Identity => Affine3A::IDENTITY,
@@ -144,7 +144,7 @@ impl World {
         }
     }
 
-    /// A box around `local`, of an instance's frame, wherever it is during the shutter, in the world's frame.
+    /// Returns a box in the world's frame around `local`, a box in an instance's frame, for all times of the shutter.
     pub fn swept(&self, instance: u32, local: &Aabb) -> Aabb {
         self.instances[instance as usize].place.swept(local)
     }
@@ -157,7 +157,7 @@ impl World {
         }
     }
 
-    /// The only instance, if it is not moved at all: then the top level is skipped.
+    /// Returns the only instance, if there is just one and its pose is the identity. Then the top level is skipped.
     #[inline(always)]
     fn sole(&self) -> Option<&Blas> {
         match &*self.instances {
@@ -186,7 +186,7 @@ impl Instance {
         self.place.swept(&self.blas.bounds())
     }
 
-    /// The ray in the instance's frame.
+    /// Returns the ray in the instance's frame.
     #[inline(always)]
     fn probe(&self, ray: &Ray) -> Probe {
         match &self.place {
@@ -269,7 +269,7 @@ impl<S: Simd> NearestLeaf for ClosestInstance<'_, S> {
         let index = leaf.index();
         let instance = &self.world.instances[index];
         let probe = instance.probe(self.ray);
-        // At equal distances a lower instance wins whatever the primitive; nothing wins over `t_max`.
+        // At equal distances a lower instance wins, regardless of the primitive; nothing wins at `t_max`.
         self.best.tie = if self.instance == u32::MAX || index as u32 > self.instance { 0 } else { u32::MAX };
         if blas_closest(self.simd, &instance.blas, &probe, self.best) {
             self.instance = index as u32;

@@ -1,5 +1,5 @@
-//! Mutates a built-in corpus of scenes and photometric files in all editions and encodings, imports, checks and surveys the
-//! results; a panic is a finding.
+//! Fuzzer of the importer: mutates a built-in corpus of scenes and photometric files in all editions and encodings, imports them,
+//! and checks and surveys the results. A panic is a finding.
 //!
 //! `cargo run --release -p femc-import --example fuzz_import -- --seconds 600 --seed 1`
 
@@ -40,7 +40,7 @@ fn main() {
             let scene = match load_or_list(bundle, "t.mgf") {
                 Ok(loaded) => loaded.scene,
                 Err(listed) => {
-                    // The list has the error at which a plain import ends.
+                    // The list contains the error at which a plain import stops.
                     let first = load(bundle, "t.mgf").expect_err("the first error");
                     assert!(listed.errors.contains(&first) || !listed.complete);
                     return Err(first);

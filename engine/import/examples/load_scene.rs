@@ -1,4 +1,4 @@
-//! Imports scenes and prints what is in them, and the seconds it took: `load_scene FILE ..`.
+//! Imports scenes and prints their contents and the import time in seconds: `load_scene FILE ..`.
 
 use std::{path::Path, time::Instant};
 

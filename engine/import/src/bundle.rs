@@ -1,7 +1,7 @@
-//! A scene's files in memory and on the wire.
+//! Bundles: a scene's files in memory and on the wire.
 //!
-//! The encoding has one form for one content (sorted names, fixed-width little-endian lengths, one compression level), so
-//! that equal scenes have equal digests. Decoding bounds memory by a limit of the caller's choice before it allocates.
+//! Equal contents have equal encodings (sorted names, fixed-width little-endian lengths, one compression level), so equal scenes
+//! have equal digests. Decoding checks the size against the caller's limit before it allocates memory.
 
 use crate::files::{Files, MAX_PATH};
 use std::{
@@ -13,31 +13,31 @@ const MAGIC: &[u8; 8] = b"femcbndl";
 const VERSION: u32 = 1;
 const LEVEL: i32 = 3;
 
-/// Files by their normalized path.
+/// Files by normalized path.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Bundle(pub BTreeMap<String, Vec<u8>>);
 
-/// Why bytes are not a bundle.
+/// Error of decoding or encoding a bundle.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BundleError {
-    /// Not made by [`Bundle::encode`].
+    /// Bytes that [`Bundle::encode`] did not write.
     #[error("not a scene bundle")]
     Magic,
-    /// Made by another version.
+    /// A bundle of another version.
     #[error("bundle version {found}, this program reads {VERSION}")]
     Version {
-        /// Its version.
+        /// Version of the bundle.
         found: u32,
     },
-    /// Larger than allowed once decompressed.
+    /// A bundle that is too large once decompressed.
     #[error("bundle of {size} bytes exceeds the limit of {limit}")]
     TooLarge {
-        /// Bytes.
+        /// Size, bytes.
         size: u64,
-        /// Bytes.
+        /// Limit, bytes.
         limit: u64,
     },
-    /// Cut short, or with rubbish in it.
+    /// A bundle that is truncated or has invalid content.
     #[error("bundle is damaged")]
     Damaged,
     /// A file name that is not normalized.
@@ -67,7 +67,7 @@ impl Files for Bundle {
 }
 
 impl Bundle {
-    /// Reads `names` (as [`crate::Loaded::files`] lists them) from `files`.
+    /// Reads `names` (as listed in [`crate::Loaded::files`]) from `files`.
     pub fn gather(files: &dyn Files, names: &[String]) -> io::Result<Self> {
         names.iter().map(|name| Ok((name.clone(), files.read(name)?))).collect::<io::Result<_>>().map(Self)
     }
@@ -76,7 +76,7 @@ impl Bundle {
         self.0.get(path).ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, "not in the bundle"))
     }
 
-    /// The bundle as bytes; the same bundle gives the same bytes. Fails on a name that [`Bundle::decode`] would refuse.
+    /// Encodes the bundle. Equal bundles give equal bytes. Fails on a name that [`Bundle::decode`] would reject.
     pub fn encode(&self) -> Result<Vec<u8>, BundleError> {
         let mut payload = Vec::new();
         payload.extend((self.0.len() as u64).to_le_bytes());
@@ -94,7 +94,7 @@ impl Bundle {
         Ok(out)
     }
 
-    /// The bundle of `bytes`, which may take up to `limit` bytes once decompressed.
+    /// Decodes a bundle that has up to `limit` bytes once decompressed.
     pub fn decode(bytes: &[u8], limit: u64) -> Result<Self, BundleError> {
         let mut head = bytes;
         if take::<8>(&mut head).is_none_or(|magic| &magic != MAGIC) {
@@ -164,7 +164,7 @@ mod tests {
         ]))
     }
 
-    /// The header and `payload`, whatever is in it.
+    /// Adds the header to any `payload`.
     fn wrap(payload: &[u8]) -> Vec<u8> {
         let mut out = Vec::from(MAGIC);
         out.extend(VERSION.to_le_bytes());
@@ -216,7 +216,7 @@ mod tests {
         }
     }
 
-    /// In memory and by their exact names: what a case-insensitive disk would mix up is two files here.
+    /// Names in a bundle are exact: two names that a case-insensitive disk would confuse are two files.
     #[test]
     fn a_name_twice_is_refused_and_names_that_differ_in_case_are_two_files() {
         let file = |name: &str| {
@@ -235,7 +235,8 @@ mod tests {
         assert_eq!(both.0.len(), 2);
     }
 
-    /// 100 bytes that would be a gigabyte: no more is unpacked than the header says, and that is within the limit.
+    /// 100 bytes that decompress to a gigabyte. No more is decompressed than the header says, and the header is checked against the
+    /// limit.
     #[test]
     fn a_bomb_is_not_unpacked() {
         let bomb = zstd::bulk::compress(&vec![0; 1 << 28], LEVEL).unwrap();

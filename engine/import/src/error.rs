@@ -1,11 +1,11 @@
-//! What can be wrong with a scene file, each with what to do about it.
+//! Errors of a scene file, each with advice.
 
 mod advice;
 
 use advice::{blank_name, left_over, path_advice, undefined_advice};
 use std::fmt;
 
-/// A place in a source file. Line and column (in bytes) count from 1; 0 where there is none.
+/// A position in a source file. Line and column (in bytes) count from 1; 0 means none.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Position {
     /// Path relative to the scene's root.
@@ -29,13 +29,13 @@ impl fmt::Display for Position {
     }
 }
 
-/// A scene that cannot be imported: where, what, and what to do. Displays as `file:line:column: what; what to do`.
+/// An error of a scene that cannot be imported. Displays as `file:line:column: fault; advice`.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{at}: {fault}")]
 pub struct ImportError {
     /// File, line and column of the fault.
     pub at: Position,
-    /// What is wrong there.
+    /// Kind of the fault, with its details.
     pub fault: Box<Fault>,
 }
 
@@ -45,17 +45,17 @@ impl ImportError {
     }
 }
 
-/// All errors of a scene that were found, at least one.
+/// Errors found in a scene, at least one.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{}", errors[0])]
 pub struct ImportErrors {
-    /// In order of place.
+    /// Errors in order of position.
     pub errors: Vec<ImportError>,
-    /// Whether the whole scene was read: false where the number of errors or a limit on memory ended the import.
+    /// Whether the whole scene was read. False if the number of errors or a memory limit ended the import.
     pub complete: bool,
 }
 
-/// What a name stands for.
+/// Kind of a named entity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
     /// A vertex, `v`.
@@ -85,20 +85,20 @@ impl fmt::Display for Kind {
     }
 }
 
-/// What is wrong.
+/// A fault of a scene file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Fault {
-    /// A file is missing or cannot be read.
+    /// A file that is missing or cannot be read.
     #[error("cannot read `{path}`: {reason}; {}", path_advice(near.as_deref()))]
     Unreadable {
-        /// The file, relative to the root.
+        /// Path of the file, relative to the root.
         path: String,
-        /// The system's reason.
+        /// Reason given by the system.
         reason: String,
         /// Name of a file in the same folder that may be meant.
         near: Option<String>,
     },
-    /// A quoted file name without its end.
+    /// A quoted file name without a closing quote.
     #[error("the file name has no closing double quote on this line; add it")]
     UnclosedQuote,
     /// Text directly after a quoted file name.
@@ -106,51 +106,51 @@ pub enum Fault {
         "found `{found}` directly after the closing double quote; put a blank between them, or quote the whole name"
     )]
     AfterQuote {
-        /// As written.
+        /// Text as written.
         found: String,
     },
-    /// A file name with blanks that is not in quotes.
+    /// An unquoted file name with blanks.
     #[error("{}", blank_name(entity, name, *exists))]
     BlankName {
-        /// The entity.
+        /// Name of the entity.
         entity: String,
-        /// The name with its blanks.
+        /// Name with its blanks.
         name: String,
-        /// Whether it is the name of a file.
+        /// Whether a file with this name exists.
         exists: bool,
     },
     /// An absolute path.
     #[error("`{path}` is an absolute path; give it relative to this file")]
     AbsolutePath {
-        /// As written.
+        /// Path as written.
         path: String,
     },
-    /// A path out of the scene's root folder.
+    /// A path that leaves the scene's root folder.
     #[error("`{path}` leaves the scene's root folder; move the file below it, or choose a higher root (`--root DIR`)")]
     OutsideRoot {
-        /// As written.
+        /// Path as written.
         path: String,
     },
-    /// A scene file that is not below its root.
+    /// A scene file that is not below its root folder.
     #[error("this scene is not below the root folder `{root}`; choose a folder that holds the scene and all its files")]
     SceneOutsideRoot {
         /// The root, as given.
         root: String,
     },
-    /// A path that some system would read differently.
+    /// A path that some systems interpret differently.
     #[error("`{path}` is not a portable path: {reason}; separate folders by `/`")]
     UnportablePath {
-        /// As written.
+        /// Path as written.
         path: String,
-        /// Rule that the path breaks.
+        /// Rule that the path violates.
         reason: &'static str,
     },
-    /// A file that includes itself, perhaps through others.
+    /// A file that includes itself, directly or through other files.
     #[error("`{path}` includes itself ({chain}); remove one of these includes")]
     IncludeCycle {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// The way round.
+        /// Cycle of includes.
         chain: String,
     },
     /// Too many nested includes.
@@ -164,20 +164,20 @@ pub enum Fault {
     IncludeVolume {
         /// The limit.
         limit: u64,
-        /// Of what.
+        /// Unit of the limit.
         unit: &'static str,
     },
-    /// A text file beyond the limit.
+    /// A text file larger than the limit.
     #[error("`{path}` has {size} bytes, a text file may have {limit}; split it by `i`")]
     TextTooLarge {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// Its size, bytes.
+        /// Size, bytes.
         size: u64,
-        /// The limit, bytes.
+        /// Limit, bytes.
         limit: u64,
     },
-    /// A joined line beyond the limit.
+    /// A joined line longer than the limit.
     #[error("line of more than {limit} characters (joined lines count as one); split it")]
     LineTooLong {
         /// The limit.
@@ -186,107 +186,107 @@ pub enum Fault {
     /// Too few or too many arguments.
     #[error("`{entity}` takes {expected}, found {found}")]
     ArgumentCount {
-        /// The entity.
+        /// Name of the entity.
         entity: String,
-        /// What it takes.
+        /// Expected arguments.
         expected: &'static str,
-        /// How many are there.
+        /// Number of arguments found.
         found: usize,
     },
-    /// Text where a number should be.
+    /// Text in place of a number.
     #[error("`{found}` is not a number; {expected} is needed here")]
     NotANumber {
-        /// As written.
+        /// Text as written.
         found: String,
-        /// The argument.
+        /// Name of the argument.
         expected: &'static str,
     },
     /// An infinite number or a NaN.
     #[error("{what} is not finite; write a finite number")]
     NotFinite {
-        /// Of what.
+        /// Name of the number.
         what: &'static str,
     },
-    /// A number out of its domain.
+    /// A number outside its domain.
     #[error("{what} is {value}; it must be {allowed}")]
     OutOfRange {
-        /// Of what.
+        /// Name of the number.
         what: &'static str,
         /// The number.
         value: f64,
         /// The domain.
         allowed: &'static str,
     },
-    /// A name that stands for nothing.
+    /// An undefined name.
     #[error("undefined {kind} `{name}`; {}", undefined_advice(*kind, name, nearest))]
     Undefined {
-        /// Of what kind.
+        /// Kind of the name.
         kind: Kind,
-        /// As written.
+        /// Name as written.
         name: String,
-        /// Up to three names near to it, nearest first.
+        /// Up to three similar names, nearest first.
         nearest: Vec<String>,
     },
-    /// A name defined twice that may be defined only once.
+    /// A second definition of a name that may be defined only once.
     #[error("{kind} `{name}` is defined already at line {line}; choose another name")]
     Redefined {
-        /// Of what kind.
+        /// Kind of the name.
         kind: Kind,
         /// The name.
         name: String,
-        /// Of the first definition.
+        /// Line of the first definition.
         line: u32,
     },
-    /// An entity that belongs in a context that is not open.
+    /// An entity outside the context that it needs.
     #[error("`{entity}` outside a {kind} context; open one first: `{kind} NAME =`")]
     NoContext {
-        /// The entity.
+        /// Name of the entity.
         entity: String,
-        /// The context it needs.
+        /// Kind of context that it needs.
         kind: Kind,
     },
-    /// A wrong word.
+    /// An unexpected word.
     #[error("found `{found}`; expected {expected}")]
     Unexpected {
-        /// As written.
+        /// Word as written.
         found: String,
-        /// What could be here.
+        /// Expected words.
         expected: &'static str,
     },
-    /// A closing `o` or `xf` too many.
+    /// A closing `o` or `xf` that closes nothing.
     #[error("`{entity}` closes nothing: none is open in this file; remove it")]
     NothingToClose {
         /// `o` or `xf`.
         entity: &'static str,
     },
-    /// Names nested too deep.
+    /// Objects nested too deep.
     #[error("objects are nested deeper than {limit} levels or 4096 characters of dotted name; close some")]
     ObjectDepth {
         /// The limit.
         limit: usize,
     },
-    /// Too many primitives after expansion.
+    /// Too many primitives after array expansion.
     #[error("{count} primitives after array expansion, at most {limit} are possible; use smaller arrays")]
     TooManyPrimitives {
-        /// How many (saturated).
+        /// Number of primitives (saturated).
         count: u64,
         /// The limit.
         limit: u64,
     },
-    /// Something else that is counted.
+    /// Too many of another counted item.
     #[error("too many {what}: at most {limit}; reduce them")]
     TooMany {
-        /// Of what.
+        /// Name of the item.
         what: &'static str,
         /// The limit.
         limit: u64,
     },
-    /// A shape that cannot exist.
+    /// An impossible shape.
     #[error("{what}; {advice}")]
     Shape {
-        /// What is wrong with it.
+        /// Description of the fault.
         what: &'static str,
-        /// What to do.
+        /// Advice.
         advice: &'static str,
     },
     /// Times out of order.
@@ -294,53 +294,53 @@ pub enum Fault {
     TimeOrder {
         /// The time, s.
         time: f64,
-        /// The one before it, s.
+        /// Preceding time, s.
         previous: f64,
     },
-    /// A file of photometry or an image that cannot be understood.
+    /// A photometric file or an image that cannot be decoded.
     #[error("`{path}`: {reason}; {advice}")]
     BadFile {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// What is wrong with the file's content.
+        /// Fault of the file's content.
         reason: String,
-        /// What to do.
+        /// Advice.
         advice: &'static str,
     },
-    /// A number of a photometric file with a decimal comma.
+    /// A number with a decimal comma in a photometric file.
     #[error(
         "`{found}`: decimal commas cannot be read, as a comma separates two numbers in LM-63 files; write decimal points \
          (`0.5`), and a blank after a comma that separates"
     )]
     DecimalComma {
-        /// As written.
+        /// Number as written.
         found: String,
     },
-    /// More in a photometric file than it announces.
+    /// More data in a photometric file than it announces.
     #[error(
         "{} the last {last} that the file announces; correct its numbers of angles, or remove what does not belong to it",
         left_over(found, *numbers)
     )]
     LeftOver {
-        /// The first field.
+        /// First extra field.
         found: String,
-        /// Numbers that follow.
+        /// Number of extra numbers.
         numbers: u64,
-        /// Name of the last number.
+        /// Name of the last expected number.
         last: &'static str,
     },
-    /// A feature that is not there.
+    /// An unsupported feature.
     #[error("{what} is not supported yet; {advice}")]
     Unsupported {
-        /// The feature.
+        /// Name of the feature.
         what: &'static str,
-        /// What to do.
+        /// Advice.
         advice: &'static str,
     },
 }
 
 impl Fault {
-    /// The file that cannot be used, relative to the root, where the fault is a file's and not its mention's.
+    /// Returns the file that cannot be used, relative to the root, if the fault is in the file and not in the place that names it.
     pub fn file(&self) -> Option<&str> {
         match self {
             Self::Unreadable { path, .. } | Self::TextTooLarge { path, .. } | Self::BadFile { path, .. } => Some(path),

@@ -1,4 +1,4 @@
-//! Where a scene's files come from: a folder, or a bundle in memory.
+//! Sources of a scene's files: a folder on disk, or a bundle in memory.
 
 use crate::{error::Fault, text::excerpt};
 use std::{
@@ -7,35 +7,35 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Longest path inside a scene, bytes.
+/// Maximum length of a path inside a scene, bytes.
 pub(crate) const MAX_PATH: usize = 1024;
-/// Longest path as a file names it, bytes: it may have parts that normalization removes.
+/// Maximum length of a path as written in a file, bytes. It may contain parts that normalization removes.
 const MAX_NAMED: usize = 4096;
 const TOO_LONG: &str = "it is longer than 1024 bytes";
-/// Most names of a folder that are compared with one that is not there.
+/// Maximum number of names in a folder that are compared with a missing name.
 const MAX_NAMES: usize = 10_000;
 
-/// The files of a scene. Paths are relative to the scene's root, `/`-separated and normalized: no `.`, no `..`, no empty part.
+/// Source of a scene's files. Paths are relative to the scene's root, `/`-separated and normalized: no `.`, no `..`, no empty part.
 pub trait Files {
-    /// Size in bytes, without reading the file.
+    /// Returns the size in bytes, without reading the file.
     fn size(&self, path: &str) -> io::Result<u64>;
-    /// The whole file.
+    /// Reads the whole file.
     fn read(&self, path: &str) -> io::Result<Vec<u8>>;
-    /// Names of the files in a folder, in any order; empty where they are not known. The root is the folder `""`.
+    /// Returns the names of the files in a folder, in any order; empty if they are unknown. The root is the folder `""`.
     fn names(&self, folder: &str) -> Vec<String> {
         let _ = folder;
         Vec::new()
     }
 }
 
-/// A folder on disk; links that lead out of it are refused.
+/// A folder on disk. Links that lead out of it are rejected.
 #[derive(Clone, Debug)]
 pub struct Disk {
     root: PathBuf,
 }
 
 impl Disk {
-    /// The folder `root`.
+    /// Uses the folder `root`.
     pub fn new(root: impl Into<PathBuf>) -> Self {
         Self { root: root.into() }
     }
@@ -46,7 +46,7 @@ impl Disk {
         if !full.starts_with(&root) {
             return Err(io::Error::new(io::ErrorKind::PermissionDenied, "a link leads out of the scene's root folder"));
         }
-        // Before opening: a pipe would block.
+        // Checked before opening, because opening a pipe would block.
         if !full.metadata()?.is_file() {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file"));
         }
@@ -64,7 +64,7 @@ impl Files for Disk {
     fn read(&self, path: &str) -> io::Result<Vec<u8>> {
         let (file, size) = self.open(path)?;
         let mut bytes = Vec::with_capacity(usize::try_from(size).unwrap_or(0));
-        // A file that grows while it is read does not grow memory.
+        // A file that grows while it is read must not use more memory.
         file.take(size).read_to_end(&mut bytes)?;
         Ok(bytes)
     }
@@ -79,8 +79,8 @@ impl Files for Disk {
     }
 }
 
-/// Name of a file in the folder of `path` that may be meant: it differs in upper and lower case, in blanks at the ends, or
-/// in blanks that are written as `%20`, `_` or `+`.
+/// Returns the name of a similar file in the folder of `path`. It may differ in upper and lower case, in blanks at the ends, or in
+/// blanks written as `%20`, `_` or `+`.
 pub(crate) fn near(files: &dyn Files, path: &str) -> Option<String> {
     let plain = |name: &str| name.replace("%20", " ").replace(['_', '+'], " ").trim().to_lowercase();
     let (folder, name) = path.rsplit_once('/').unwrap_or(("", path));
@@ -88,7 +88,7 @@ pub(crate) fn near(files: &dyn Files, path: &str) -> Option<String> {
     files.names(folder).into_iter().filter(|other| other != name && plain(other) == wanted).min()
 }
 
-/// The path `named` inside the file `by`, relative to the root and normalized.
+/// Resolves the path `named`, written in the file `by`, to a normalized path relative to the root.
 pub(crate) fn resolve(by: &str, named: &str) -> Result<String, Fault> {
     let unportable = |reason| Fault::UnportablePath { path: named.to_owned(), reason };
     if named.len() > MAX_NAMED {
@@ -172,7 +172,7 @@ mod tests {
         for path in ["folder/secret", "folder", "loop", "zero", "socket", "hard/x"] {
             assert!(disk.read(path).is_err() && disk.size(path).is_err(), "{path}");
         }
-        // Nothing tells it from any other file; whoever packs it could have read it anyway.
+        // A hard link cannot be distinguished from any other file, and a user who packs it could read it anyway.
         assert_eq!(disk.read("hard").unwrap(), b"x");
     }
 }

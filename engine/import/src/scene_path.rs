@@ -1,7 +1,7 @@
-//! Where a scene is on disk: a root folder that nothing may leave, and the scene file below it.
+//! Location of a scene on disk: a root folder, which no file name may leave, and the scene file below it.
 //!
-//! Files of the scene are named from the root, so that a scene that shares files with its neighbors is packed and found
-//! again by the same names on every machine.
+//! Files of the scene are named relative to the root. So a scene that shares files with its neighbors is packed and found under the
+//! same names on every machine.
 
 use crate::{Disk, Fault, ImportError, ImportErrors, Loaded, Position, load, load_or_list};
 use std::path::{Component, Path, PathBuf};
@@ -14,14 +14,14 @@ pub struct ScenePath {
 }
 
 impl ScenePath {
-    /// The scene file `scene` with its own folder as root.
+    /// Uses the scene file `scene` with its own folder as root.
     pub fn new(scene: &Path) -> Result<Self, ImportError> {
         let name = scene.file_name().ok_or_else(|| unreadable(scene, "it names no file"))?;
         let entry = name.to_str().ok_or_else(|| unreadable(scene, "its name is not UTF-8"))?.to_owned();
         Ok(Self { root: folder(scene).to_owned(), entry })
     }
 
-    /// The scene file `scene` with the folder `root` around it: includes, textures and lamps may lie anywhere below `root`.
+    /// Uses the scene file `scene` with the folder `root` around it. Includes, textures and lamps may lie anywhere below `root`.
     pub fn below(root: &Path, scene: &Path) -> Result<Self, ImportError> {
         let name = scene.file_name().ok_or_else(|| unreadable(scene, "it names no file"))?;
         let real = |path: &Path| path.canonicalize().map_err(|e| unreadable(path, &e.to_string()));
@@ -39,17 +39,17 @@ impl ScenePath {
         Ok(Self { root: root.to_owned(), entry: parts.join("/") })
     }
 
-    /// The root folder, as it was given.
+    /// Returns the root folder, as given.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// The scene file's path below the root, `/`-separated.
+    /// Returns the scene file's path below the root, `/`-separated.
     pub fn entry(&self) -> &str {
         &self.entry
     }
 
-    /// The files below the root.
+    /// Returns the files below the root.
     pub fn disk(&self) -> Disk {
         Disk::new(&self.root)
     }

@@ -1,19 +1,18 @@
 //! Encodings and line ends of text files: scenes, photometric files and tilt files.
 //!
-//! Text is UTF-8 or another encoding that keeps ASCII: its bytes are taken as they are. UTF-16 is read with a byte order
-//! mark, and without one where zero bytes at every second place leave no doubt. A lone CR (old Macs), CRLF and LF end a line
-//! each, also mixed in one file, so that line numbers are those of an editor. CRs before an LF are part of its line end: some
-//! programs write CRCRLF. Zero bytes and ^Z at the end are padding of old systems. Any other zero byte is a sign of a file
-//! that is not text.
+//! Text is UTF-8 or another encoding that extends ASCII; its bytes are used unchanged. UTF-16 is recognized by a byte order mark,
+//! or without one if zero bytes at every second position leave no doubt. A lone CR (old Macs), CRLF and LF each end a line, also
+//! mixed in one file, so that line numbers match those of an editor. CRs before an LF belong to its line end, because some programs
+//! write CRCRLF. Zero bytes and ^Z at the end are padding of old systems. Any other zero byte means that the file is not text.
 
 use crate::Fault;
 
-/// ^Z, the end of a text file in CP/M and DOS.
+/// ^Z, which ends a text file in CP/M and DOS.
 const END_OF_FILE: u8 = 0x1a;
-/// Most characters of a file's text in a message.
+/// Maximum number of characters of a file's text in a message.
 const MAX_EXCERPT: usize = 64;
 
-/// Text of a file as bytes whose lines end with LF, without a byte order mark.
+/// Decodes a file to bytes whose lines end with LF, without a byte order mark.
 /// - `path`: name of the file for the fault.
 pub(crate) fn decode(path: &str, bytes: Vec<u8>) -> Result<Vec<u8>, Fault> {
     let bad = |reason: String| Fault::BadFile {
@@ -38,7 +37,7 @@ pub(crate) fn decode(path: &str, bytes: Vec<u8>) -> Result<Vec<u8>, Fault> {
     }
 }
 
-/// Start of a file's text for a message: without control characters, and `...` after the first 64 characters.
+/// Returns the start of a text for a message, without control characters and with `...` after the first 64 characters.
 pub(crate) fn excerpt(text: &[u8]) -> String {
     let characters = text.utf8_chunks().flat_map(|chunk| {
         let broken = (!chunk.invalid().is_empty()).then_some('\u{fffd}');
@@ -52,7 +51,7 @@ pub(crate) fn excerpt(text: &[u8]) -> String {
     start
 }
 
-/// UTF-8 of UTF-16; the error is a reason.
+/// Converts UTF-16 to UTF-8; the error is a reason.
 fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> Result<Vec<u8>, String> {
     let (pairs, rest) = bytes.as_chunks::<2>();
     if rest.iter().any(|byte| *byte != 0 && !byte.is_ascii_whitespace()) {
@@ -71,8 +70,8 @@ fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> Result<Vec<u8>, String> {
     Ok(text.into_bytes())
 }
 
-/// Text of UTF-16 without a byte order mark: zero bytes at one parity alone, at half of its places or more, and no control
-/// characters but blanks.
+/// Decodes UTF-16 without a byte order mark. It must have zero bytes at only one parity, at half of those positions or more, and no
+/// control characters but blanks.
 fn unmarked_utf16(bytes: &[u8]) -> Option<Vec<u8>> {
     let padding = bytes.iter().rev().take_while(|&&byte| matches!(byte, 0 | END_OF_FILE)).count();
     let body = &bytes[..bytes.len() - padding];
@@ -87,7 +86,7 @@ fn unmarked_utf16(bytes: &[u8]) -> Option<Vec<u8>> {
     };
     let mut body = body.to_vec();
     if body.len() % 2 == 1 {
-        // The high byte of the last character of little-endian text went with the padding.
+        // The padding included the high byte of the last character of little-endian text.
         body.push(0);
     }
     let text = utf16(&body, unit).ok()?;
@@ -95,7 +94,7 @@ fn unmarked_utf16(bytes: &[u8]) -> Option<Vec<u8>> {
     (!text.iter().any(control)).then_some(text)
 }
 
-/// Cuts trailing zero bytes and ^Z, with the blanks between them.
+/// Removes trailing zero bytes and ^Z, with the blanks between them.
 fn without_padding(mut text: Vec<u8>) -> Vec<u8> {
     let padding = |byte: u8| matches!(byte, 0 | END_OF_FILE);
     let tail = text.iter().rev().take_while(|&&byte| padding(byte) || byte.is_ascii_whitespace()).count();
@@ -106,7 +105,7 @@ fn without_padding(mut text: Vec<u8>) -> Vec<u8> {
     text
 }
 
-/// Makes every line end an LF.
+/// Converts every line end to LF.
 fn line_ends(text: Vec<u8>) -> Vec<u8> {
     if !text.contains(&b'\r') {
         return text;
@@ -181,7 +180,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
 
-        /// A text of any characters is the text in every encoding with a mark, and in UTF-16 without a mark if it is ASCII.
+        /// A text of any characters is preserved in every encoding with a mark, and in UTF-16 without a mark if it is ASCII.
         #[test]
         fn encodings_read_back(text in "[ -~\n\tà-ÿ一-三]{0,60}", plain in "[ -~\n\t]{1,60}") {
             let marked = format!("\u{feff}{text}");
@@ -193,7 +192,7 @@ mod tests {
             prop_assert_eq!(&read(&wide(&plain, u16::to_be_bytes)).unwrap(), &plain);
         }
 
-        /// The text of a file has no zero byte and no CR, whatever the file is.
+        /// A decoded text has no zero byte and no CR, for any file.
         #[test]
         fn any_bytes_are_text_or_refused(bytes: Vec<u8>) {
             if let Ok(text) = decode("a.txt", bytes) {

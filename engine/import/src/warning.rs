@@ -1,15 +1,15 @@
-//! What is odd about a scene file but does not stop its import.
+//! Warnings: oddities of a scene file that do not stop its import.
 
 use crate::Position;
 use femc_scene::Standpoint;
 use std::{borrow::Cow, fmt};
 
-/// Something odd at some place. Displays as `file:line:column: what`.
+/// An oddity at a position. Displays as `file:line:column: oddity`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Warning {
     /// File, line and column of the oddity.
     pub at: Position,
-    /// What is odd there.
+    /// Kind of oddity, with its details.
     pub oddity: Oddity,
 }
 
@@ -19,113 +19,113 @@ impl fmt::Display for Warning {
     }
 }
 
-/// What is odd.
+/// An oddity of a scene file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Oddity {
-    /// An entity that the format does not know; said once per name.
+    /// An entity that is not part of the format; reported once per name.
     UnknownEntity {
-        /// Its name.
+        /// Name of the entity.
         name: String,
     },
     /// A face without area.
     NoArea,
-    /// A face that is not planar.
+    /// A non-planar face.
     NotPlanar {
-        /// Largest distance from the best plane over the size of the face.
+        /// Largest distance from the best plane, divided by the size of the face.
         deviation: f64,
     },
-    /// A face whose triangles do not add up to it: it crosses itself.
+    /// A face whose triangles do not add up to its area, because it crosses itself.
     CrossesItself,
     /// A hole wound like the contour around it.
     HoleOrientation,
-    /// A chromaticity outside Rec.709, clipped.
+    /// A chromaticity outside Rec.709, which was clipped.
     OutOfGamut,
-    /// A color that makes a material ask for more light of a channel than it receives; the renderer limits it.
+    /// A color with which a material demands more light of a channel than it receives. The renderer limits it.
     ChannelAboveOne {
-        /// Largest share of the light that a channel asks for.
+        /// Largest share of the light that a channel demands.
         sum: f64,
     },
     /// Negative values in a spectrum.
     NegativeSpectrum {
-        /// How many.
+        /// Number of negative values.
         count: usize,
     },
-    /// A chromaticity with y = 0, which no light has.
+    /// A chromaticity with y = 0, which no light can have.
     NoLuminance {
         /// CIE x as written.
         x: f64,
-        /// CIE x and y that are used.
+        /// CIE x and y that are used instead.
         taken: [f64; 2],
     },
-    /// A material that reflects more than it receives, scaled down to 1.
+    /// A material that reflects more than it receives; it was scaled down to 1.
     TooBright {
-        /// The material.
+        /// Name of the material.
         material: String,
-        /// The sum of its reflectances and transmittances in the file.
+        /// Sum of the reflectances and transmittances in the file.
         sum: f64,
     },
-    /// A file that is outside the scene's folder, where the root covers it; said once per file.
+    /// A file outside the scene's folder but below the root; reported once per file.
     OutsideFolder {
-        /// Its path below the root.
+        /// Path below the root.
         path: String,
     },
-    /// An object opened again in another place; said once per name.
+    /// An object that is opened again in another place; reported once per name.
     ObjectAgain {
-        /// Its full name.
+        /// Full name.
         name: String,
-        /// Place of its first opening.
+        /// Position of its first opening.
         first: Position,
     },
-    /// `o` or `xf` still open at the end of the file that opened it; closed there.
+    /// An `o` or `xf` that is still open at the end of the file that opened it; it was closed there.
     LeftOpen {
         /// `o` or `xf`.
         entity: &'static str,
     },
-    /// A definition replaced by a later one.
+    /// A definition that a later one replaced.
     Replaced {
-        /// What, `camera main`.
+        /// Kind and name, such as `camera main`.
         what: String,
     },
-    /// A transform around something that is always in world coordinates.
+    /// A transform around an element that is always in world coordinates.
     NotTransformed {
         /// Kind of element that ignores the transform.
         what: &'static str,
     },
-    /// Photometric data outside the letter of LM-63 that has a clear meaning.
+    /// Photometric data that deviates from LM-63 but has a clear meaning.
     Photometry {
-        /// What was found and what was made of it.
+        /// The data found, and its interpretation.
         what: Cow<'static, str>,
     },
-    /// A textured material on a surface without texture coordinates; said once per material.
+    /// A textured material on a surface without texture coordinates; reported once per material.
     NoTextureCoordinates {
-        /// The material.
+        /// Name of the material.
         material: String,
     },
-    /// A statement of an image file that is not used, or values outside of their domain; said once per file.
+    /// A header field of an image file that is not used, or values outside their domain; reported once per file.
     Texture {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// What was found and what was made of it.
+        /// The data found, and its interpretation.
         what: String,
     },
-    /// A scene without a camera was given one.
+    /// A scene without cameras, which received a default camera.
     DefaultCamera {
-        /// Where it stands.
+        /// Position of the camera: inside or outside.
         standpoint: Standpoint,
-        /// Its eye, m.
+        /// Eye, m.
         origin: [f64; 3],
-        /// The point that it looks at, m.
+        /// Point that the camera looks at, m.
         target: [f64; 3],
     },
     /// More warnings than are kept.
     More {
-        /// How many are kept.
+        /// Number of warnings kept.
         kept: usize,
     },
 }
 
 impl Oddity {
-    /// The kind of oddity, `unknown-entity`.
+    /// Returns the kind of oddity, such as `unknown-entity`.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::UnknownEntity { .. } => "unknown-entity",
@@ -221,7 +221,7 @@ impl fmt::Display for Oddity {
     }
 }
 
-/// How many warnings are kept.
+/// Maximum number of warnings kept.
 const KEPT: usize = 1000;
 
 /// A bounded list of warnings.

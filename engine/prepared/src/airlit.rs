@@ -1,41 +1,41 @@
-//! Distances on a stretch of a ray by the light of one source that fog scatters there.
+//! Sampling of distances on a ray segment by the light of one source that fog scatters there.
 
 use crate::lights::Lights;
 use crate::media::{Distance, Event, Media, MediaRay};
 use femc_emission::{Airlight, Along, AlongSegment, Beside, Source};
 use femc_geometry::World;
 
-/// Most of the distances that transmittance may draw.
+/// Maximum share of distances that are sampled by transmittance.
 const MOST_BY_TRANSMITTANCE: f32 = 0.8;
 
-/// Share of the distances that transmittance draws at least where the stretch goes on behind what is looked at closely.
+/// Minimum share of distances that are sampled by transmittance if the segment extends beyond the closely examined range.
 const LEAST_BEHIND: f32 = 0.02;
 
-/// A stretch of a ray.
+/// A ray segment.
 #[derive(Clone, Copy)]
 pub struct Stretch<'a> {
-    /// As the choice of a light wants it.
+    /// Segment as the choice of a light uses it.
     pub wanted: &'a AlongSegment,
     /// All media of the frame.
     pub media: &'a Media,
-    /// The media that the ray goes through.
+    /// Media that the ray passes through.
     pub ray: &'a MediaRay,
-    /// No light is treated as nearer to the ray than this, m.
+    /// Minimum distance of a light from the ray, m; smaller distances are raised to it.
     pub least_distance: f32,
 }
 
-/// A distribution of distances. Most are drawn by the light that is scattered at each. Where fog is so thick that it changes between the
-/// angles at which that is looked at, a share is drawn by transmittance alone.
+/// A distribution of distances. Most are sampled by the light that is scattered at each distance. If the fog is so thick that it
+/// changes between the angles at which the light is evaluated, a share is sampled by transmittance alone.
 #[derive(Clone, Copy, Debug)]
 pub struct Airlit {
     airlight: Airlight,
     start: f32,
-    /// Share of the distances that transmittance draws.
+    /// Share of distances that are sampled by transmittance.
     by_transmittance: f32,
 }
 
 impl Airlit {
-    /// Of `light` at `time` in the shutter; `None` if it is never chosen.
+    /// Creates the distribution for `light` at `time` in the shutter; `None` if the light is never chosen.
     pub fn new(lights: &Lights, world: &World, stretch: &Stretch<'_>, light: u32, time: f32) -> Option<Self> {
         let Stretch { wanted, media, ray, least_distance } = *stretch;
         let many = lights.many();
@@ -55,8 +55,8 @@ impl Airlit {
         Some(Self { airlight, start, by_transmittance })
     }
 
-    /// Draws an event by `u` and, where media are coloured, `channel`, both in [0, 1): the event, whose weight is not divided by a density, and the
-    /// density, 1/m.
+    /// Samples an event with `u` and, for colored media, `channel`, both in [0, 1). Returns the event, whose weight is not divided
+    /// by a density, and the density, 1/m.
     pub fn sample(&self, media: &Media, ray: &MediaRay, u: f32, channel: f32) -> Option<(Event, f32)> {
         let share = self.by_transmittance;
         let t = if u < share {
@@ -70,7 +70,7 @@ impl Airlit {
         (density > 0.0).then_some((event, density))
     }
 
-    /// Density of the distance of an event, 1/m.
+    /// Returns the density of an event's distance, 1/m.
     pub fn pdf(&self, event: &Event) -> f32 {
         let about = self.airlight.pdf(event.t - self.start);
         self.by_transmittance * event.pdf + (1.0 - self.by_transmittance) * about

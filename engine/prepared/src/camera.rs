@@ -1,4 +1,4 @@
-//! The camera of a frame: rays from film positions.
+//! Camera of a frame: generates rays from film positions.
 
 use femc_geometry::Ray;
 use femc_math::elementary::double;
@@ -6,8 +6,7 @@ use femc_math::glam::{DVec3, Vec3A};
 use femc_math::{cross, warp};
 use std::f64::consts::PI;
 
-/// A thin-lens camera, or a pinhole when the lens radius is 0, in the prepared frame.
-/// Its pose is interpolated over the shutter.
+/// A thin-lens camera, or a pinhole when the lens radius is 0, in the prepared frame. Its pose is interpolated over the shutter.
 #[derive(Clone, Debug)]
 pub struct KernelCamera {
     poses: Vec<CameraPose>,
@@ -17,7 +16,7 @@ pub struct KernelCamera {
     focus: f32,
 }
 
-/// Eye and axes at one time; `right` and `down` span the film at unit distance per pixel.
+/// Eye and axes at one time. `right` and `down` span one pixel of the film at unit distance.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraPose {
     origin: Vec3A,
@@ -29,8 +28,8 @@ pub struct CameraPose {
 }
 
 impl CameraPose {
-    /// A pose from eye, looked-at point and up direction (prepared frame, f64), vertical field of view in degrees.
-    /// `None` when the view direction or the up direction is degenerate.
+    /// Creates a pose from eye, target and up direction (prepared frame, f64) and the vertical field of view in degrees. Returns
+    /// `None` if the view direction or the up direction is degenerate.
     pub fn new(origin: DVec3, target: DVec3, up: DVec3, fov: f64, film: [u32; 2]) -> Option<Self> {
         let forward = (target - origin).try_normalize()?;
         let right = forward.cross(up).try_normalize()?;
@@ -47,34 +46,34 @@ impl CameraPose {
     }
 }
 
-/// The film through one point of the lens at one time.
+/// View of the film through one point of the lens at one time.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
-    /// The point of the lens.
+    /// Point of the lens.
     pub origin: Vec3A,
-    /// To the middle of the film's image, not unit.
+    /// Vector to the middle of the film's image, not unit.
     toward: Vec3A,
-    /// One pixel to the right and one down, there.
+    /// Steps of one pixel to the right and one down on the film's image.
     steps: [Vec3A; 2],
     middle: [f32; 2],
     time: f32,
 }
 
 impl View {
-    /// Direction through film position (`x`, `y`), pixels, y down; not unit.
+    /// Returns the direction through film position (`x`, `y`), pixels, y down; not unit.
     #[inline]
     fn through(&self, [x, y]: [f32; 2]) -> Vec3A {
         self.toward + self.steps[0] * (x - self.middle[0]) + self.steps[1] * (y - self.middle[1])
     }
 
-    /// The ray through a film position, pixels, y down.
+    /// Returns the ray through a film position, pixels, y down.
     #[inline]
     pub fn ray(&self, place: [f32; 2]) -> Ray {
         Ray { origin: self.origin, dir: self.through(place).normalize(), t_max: f32::INFINITY, time: self.time }
     }
 
-    /// Where a point lies on the film, which need not reach so far, and its distance along the view axis over that of the image of
-    /// the film; `None` behind the lens.
+    /// Projects a point onto the plane of the film, possibly outside the film. Also returns its distance along the view axis,
+    /// relative to that of the film's image. Returns `None` behind the lens.
     #[inline]
     pub fn project(&self, position: Vec3A) -> Option<([f32; 2], f32)> {
         let normal = cross(self.steps[0], self.steps[1]);
@@ -84,7 +83,7 @@ impl View {
             return None;
         }
         let beside = away / depth - self.toward;
-        // The steps are perpendicular; between two poses of a camera that turns they are so nearly: solve for both.
+        // The steps are perpendicular. Between two poses of a rotating camera they are only nearly so: solve for both.
         let [a, b] = self.steps;
         let (aa, ab, bb) = (a.dot(a), a.dot(b), b.dot(b));
         let (pa, pb) = (beside.dot(a), beside.dot(b));
@@ -93,7 +92,7 @@ impl View {
         Some((place, depth))
     }
 
-    /// Solid angle of a pixel's area at a film position, sr.
+    /// Returns the solid angle of a pixel's area at a film position, sr.
     #[inline]
     pub fn solid_angle(&self, place: [f32; 2]) -> f32 {
         let through = self.through(place);
@@ -103,7 +102,7 @@ impl View {
 }
 
 impl KernelCamera {
-    /// A camera whose poses are equally spaced over the shutter (one: it does not move).
+    /// Creates a camera whose poses are equally spaced over the shutter. A camera with one pose does not move.
     pub fn new(poses: Vec<CameraPose>, film: [u32; 2], lens_radius: f32, focus: f32) -> Self {
         debug_assert!(!poses.is_empty());
         Self { poses, film, lens_radius, focus }
@@ -127,13 +126,13 @@ impl KernelCamera {
         }
     }
 
-    /// Middle of a pixel (row-major index), pixels.
+    /// Returns the center of a pixel (row-major index), pixels.
     #[inline]
     pub fn center(&self, pixel: u32) -> [f32; 2] {
         [(pixel % self.film[0]) as f32 + 0.5, (pixel / self.film[0]) as f32 + 0.5]
     }
 
-    /// What one point of the lens sees: `lens` in [0,1)^2; `time` in [0, 1] of the shutter.
+    /// Returns the view through one point of the lens: `lens` in [0,1)^2; `time` in [0, 1] of the shutter.
     #[inline]
     pub fn view(&self, lens: [f32; 2], time: f32) -> View {
         let pose = self.pose(time);
@@ -154,19 +153,19 @@ impl KernelCamera {
         view
     }
 
-    /// What the middle of the lens sees at the poses that the camera is known at.
+    /// Iterates over the views through the middle of the lens at all poses.
     pub(crate) fn views(&self) -> impl Iterator<Item = View> + '_ {
         let last = (self.poses.len() - 1).max(1) as f32;
         let pinhole = Self { lens_radius: 0.0, ..self.clone() };
         (0..self.poses.len()).map(move |k| pinhole.view([0.5; 2], k as f32 / last))
     }
 
-    /// What it sees, if it stands and has no lens.
+    /// Returns the view if the camera does not move and is a pinhole.
     pub(crate) fn pinhole(&self) -> Option<View> {
         (self.poses.len() == 1 && self.lens_radius == 0.0).then(|| self.view([0.5; 2], 0.0))
     }
 
-    /// Radius of the spot, in pixels, that a point at `distance` along the view axis, m, makes.
+    /// Returns the radius of the blur spot, in pixels, of a point at `distance` along the view axis, m.
     pub(crate) fn blur(&self, distance: f32) -> f32 {
         if self.lens_radius > 0.0 {
             self.lens_radius * (1.0 / self.focus - 1.0 / distance).abs() / self.poses[0].right.length()
@@ -175,13 +174,13 @@ impl KernelCamera {
         }
     }
 
-    /// Distance of `position` from the eye along the view axis at mid-shutter, m.
+    /// Returns the distance of `position` from the eye along the view axis at mid-shutter, m.
     pub fn depth(&self, position: Vec3A, time: f32) -> f32 {
         let pose = self.pose(time);
         (position - pose.origin).dot(pose.forward.normalize())
     }
 
-    /// The eye at shutter opening.
+    /// Returns the eye at shutter opening.
     pub fn eye(&self) -> Vec3A {
         self.poses[0].origin
     }

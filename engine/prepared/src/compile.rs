@@ -1,5 +1,7 @@
-//! Groups of the description compiled to BVHs: one for each group that is placed by itself, with the static groups inside
-//! it baked in where copies are few or small. What did not change since the previous frame is taken over whole.
+//! Compiler from groups of the description to BVHs.
+//!
+//! Each group that is placed by itself gets a BVH. Static groups inside it are baked in if their copies are few or small. Groups
+//! that have not changed since the previous frame are reused.
 
 use crate::lights::PhotometryTables;
 use crate::twins::{self, Twins};
@@ -16,10 +18,10 @@ use std::sync::Arc;
 /// "None" among `u32` indices.
 pub const NONE: u32 = u32::MAX;
 
-/// What the kernels need to know of a primitive besides its shape.
+/// Data of a primitive that the kernels need besides its shape.
 #[derive(Clone, Copy, Debug)]
 pub struct Primitive {
-    /// Index of its material.
+    /// Index of the material.
     pub material: u32,
     /// Index into [`Compiled::corners`], or [`NONE`].
     pub corners: u32,
@@ -30,7 +32,7 @@ pub struct Primitive {
 /// Shading data at the three corners of a triangle.
 #[derive(Clone, Copy, Debug)]
 pub struct Corners {
-    /// Unit normals in the group's frame; zero where the file gives none.
+    /// Unit normals in the group's frame; zero if the file gives none.
     pub normals: [Vec3; 3],
     /// Texture coordinates.
     pub uv: [Vec2; 3],
@@ -41,7 +43,7 @@ pub struct Corners {
 pub enum EmitterShape {
     /// One triangle.
     Triangle([DVec3; 3]),
-    /// Corner and two edges; the front is on the side of their cross product.
+    /// A corner and two edges. The front is on the side of their cross product.
     Parallelogram([DVec3; 3]),
     /// A curved surface.
     Curved(Shape),
@@ -52,50 +54,50 @@ pub enum EmitterShape {
 /// A light source of a compiled group.
 #[derive(Clone, Copy, Debug)]
 pub struct Emitter {
-    /// Its shape.
+    /// Shape.
     pub shape: EmitterShape,
-    /// Its material.
+    /// Material.
     pub material: u32,
-    /// Innermost object that holds it.
+    /// Innermost object that contains it.
     pub object: Option<ObjectId>,
-    /// Where the file has it.
+    /// Location in the file.
     pub location: Location,
 }
 
-/// A group ready to trace.
+/// A group that is ready to trace.
 #[derive(Debug)]
 pub struct Compiled {
-    /// The tree over the primitives.
+    /// Tree over the primitives.
     pub blas: Arc<Blas>,
-    /// By primitive index of the tree.
+    /// Primitives by primitive index of the tree.
     pub primitives: Vec<Primitive>,
-    /// Shading data of the triangles that have some.
+    /// Shading data of the triangles that have any.
     pub corners: Vec<Corners>,
     /// Surfaces that emit.
     pub emitters: Vec<Emitter>,
-    /// Objects of the primitives, for messages: each with its first primitive, ascending.
+    /// Objects of the primitives, for messages: each entry has its first primitive; ascending.
     pub objects: Vec<(u32, Option<ObjectId>)>,
     /// Origin of the compiled frame in the group's frame, m.
     pub center: DVec3,
-    /// Hash of what was compiled.
+    /// Hash of the inputs of the compilation.
     key: u64,
 }
 
-/// A compiled group with its place.
+/// A compiled group with its placement.
 #[derive(Clone, Debug)]
 pub struct Placed {
     /// The compiled group.
     pub compiled: Arc<Compiled>,
     /// Motions from the group's frame to the world, innermost first.
     pub motions: Vec<Motion>,
-    /// Whether the group was mirrored (x to -x) when it was compiled, so that its pose keeps orientation.
+    /// Whether the group was mirrored (x to -x) when it was compiled, so that its pose preserves orientation.
     pub mirrored: bool,
 }
 
 /// Compiled groups by (group, mirrored).
 pub type Cache = BTreeMap<(GroupId, bool), Arc<Compiled>>;
 
-/// What the tracer must know about the materials: whether backs are invisible, and whether they emit.
+/// Properties of a material that the tracer needs: whether backs are invisible, and whether it emits.
 #[derive(Clone, Copy, Debug)]
 pub struct SurfaceClass {
     /// Visibility of the back.
@@ -104,7 +106,7 @@ pub struct SurfaceClass {
     pub emits: bool,
 }
 
-/// Compiles and places everything that is visible at one time.
+/// Compiler that compiles and places everything that is visible at one time.
 pub struct Compiler<'a> {
     scene: &'a Scene,
     now: &'a Scalars,
@@ -114,16 +116,16 @@ pub struct Compiler<'a> {
     /// World position of the prepared frame's origin, m.
     origin: DVec3,
     previous: &'a Cache,
-    /// What has been compiled; the next frame's `previous`.
+    /// Compiled groups; the next frame's `previous`.
     pub cache: Cache,
-    /// The result.
+    /// Placed groups: the result.
     pub placed: Vec<Placed>,
     expanded: Vec<u64>,
     mirror_at: &'a dyn Fn(&Motion) -> DAffine3,
 }
 
 impl<'a> Compiler<'a> {
-    /// A compiler for `scene` whose materials have `classes`; `pose` gives a motion's transform at shutter opening.
+    /// Creates a compiler for `scene`, whose materials have `classes`. `pose` returns a motion's transform at shutter opening.
     pub fn new(
         scene: &'a Scene,
         now: &'a Scalars,
@@ -168,7 +170,7 @@ impl<'a> Compiler<'a> {
             self.placed.push(Placed { compiled, motions: motions.to_vec(), mirrored });
         }
         for (within, child, motion) in pending {
-            // `within` maps the child's parent to this group's compiled frame; undo the mirror that is part of it.
+            // `within` maps the child's parent to this group's compiled frame; this removes the mirror that it contains.
             let within = if mirrored { mirror() * within } else { within };
             let mut chain = vec![motion];
             if within != DAffine3::IDENTITY {
@@ -180,7 +182,7 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// Adds the surfaces of `group` and of what is baked into it; leaves the rest in `pending`.
+    /// Adds the surfaces of `group` and of the groups that are baked into it. Leaves the other groups in `pending`.
     fn gather(
         &self,
         group: GroupId,
@@ -225,8 +227,8 @@ impl<'a> Compiler<'a> {
         compiled
     }
 
-    /// Hash of what decides the compiled form besides the description itself: visibility, culling, emission, and for the
-    /// world the origin.
+    /// Returns a hash of the inputs that affect the compiled form besides the description itself: visibility, culling, emission,
+    /// and for the world the origin.
     fn key(&self, group: GroupId, builder: &Builder) -> u64 {
         let mut key = 0u64;
         let mut add = |word: u64| key = combine(&[key, word]);
@@ -249,8 +251,10 @@ impl<'a> Compiler<'a> {
         key
     }
 
-    /// `center`: origin of the compiled frame. The world's is the prepared frame's own origin, so that its pose is the
-    /// identity: nothing is rounded twice, and the tracer needs no top level.
+    /// Compiles the collected surfaces.
+    ///
+    /// `center`: origin of the compiled frame. For the world it is the prepared frame's own origin, so its pose is the identity.
+    /// Then nothing is rounded twice, and the tracer needs no top level.
     fn compile(&self, builder: &Builder, center: DVec3, key: u64) -> Compiled {
         let mut out = Output::default();
         for (group, to_compiled) in &builder.sources {
@@ -266,7 +270,7 @@ impl<'a> Compiler<'a> {
                 self.add_luminaire(&Luminaire { to_group: to_local * luminaire.to_group, ..*luminaire }, &mut out);
             }
         }
-        // Shapes come after all triangles in primitive order.
+        // Shapes follow all triangles in primitive order.
         let triangles = out.primitives.len() as u32;
         out.primitives.append(&mut out.shape_primitives);
         out.objects.extend(out.shape_objects.iter().map(|&(first, object)| (triangles + first, object)));
@@ -275,7 +279,8 @@ impl<'a> Compiler<'a> {
         Compiled { blas, primitives, corners, emitters, objects, center, key }
     }
 
-    /// A round point near the middle of what is compiled, so that its coordinates are small; zero when they are anyway.
+    /// Returns a round point near the middle of the compiled surfaces, so that their coordinates are small. Returns zero if they
+    /// are small anyway.
     fn center(&self, builder: &Builder) -> DVec3 {
         let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for (group, to_compiled) in &builder.sources {
@@ -321,7 +326,7 @@ impl<'a> Compiler<'a> {
                         let normal = (p[1] - p[0]).cross(p[2] - p[0]).as_vec3a();
                         let mut surface = twins::flat(&p.map(|p| p.as_vec3a()), normal, sides(face.material));
                         if textured {
-                            // Twins may have the texture in different places: each is known by its number, too.
+                            // Twins may have different texture coordinates, so their number is part of the key.
                             surface.push(out.emitters.len() as u32);
                         }
                         out.emitter(Emitter { shape: EmitterShape::Triangle(p), material, object, location }, surface)
@@ -362,7 +367,8 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// Adds a luminaire: the faces of its opening, behind whose emission is a black body, or nothing to hit for a point.
+    /// Adds a luminaire: the faces of its opening, with a black material under their emission. A point luminaire has nothing to
+    /// hit.
     fn add_luminaire(&self, luminaire: &Luminaire, out: &mut Output) {
         let emitter = out.emitters.len() as u32;
         let material = self.scene.materials.len() as u32;
@@ -391,7 +397,7 @@ impl<'a> Compiler<'a> {
     }
 }
 
-/// Groups (and their maps to the compiled frame) that go into one compiled group.
+/// Groups, with their maps to the compiled frame, that go into one compiled group.
 #[derive(Default)]
 struct Builder {
     sources: Vec<(GroupId, DAffine3)>,
@@ -411,7 +417,7 @@ struct Output {
 }
 
 impl Output {
-    /// Index of the emitter of a surface, which may be a twin of one before.
+    /// Returns the index of a surface's emitter. A twin of an earlier surface shares its emitter.
     fn emitter(&mut self, emitter: Emitter, surface: Vec<u32>) -> u32 {
         let fresh = self.emitters.len() as u32;
         let index = self.twins.emitter(emitter.material, surface, fresh);
@@ -422,14 +428,14 @@ impl Output {
     }
 }
 
-/// Says that from primitive `first` on they are of `object`.
+/// Records that primitives from `first` on belong to `object`.
 fn begin(objects: &mut Vec<(u32, Option<ObjectId>)>, first: usize, object: Option<ObjectId>) {
     if objects.last().is_none_or(|(_, latest)| *latest != object) {
         objects.push((first as u32, object));
     }
 }
 
-/// Primitives of a group with everything static in it, counted once each.
+/// Returns the number of primitives of a group including everything static in it, counted once each.
 fn expand(scene: &Scene, group: GroupId, sizes: &mut [u64]) -> u64 {
     if sizes[group.index()] != u64::MAX {
         return sizes[group.index()];
@@ -443,25 +449,25 @@ fn expand(scene: &Scene, group: GroupId, sizes: &mut [u64]) -> u64 {
     size
 }
 
-/// The mirror that compiled groups of orientation-reversing placements carry.
+/// Returns the mirror that is baked into compiled groups whose placements reverse orientation.
 pub fn mirror() -> DAffine3 {
     DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)))
 }
 
-/// Corner and edges when the two triangles make up a parallelogram.
+/// Returns corner and edges if the two triangles form a parallelogram.
 fn parallelogram(source: &Group, triangles: &[[u32; 3]]) -> Option<[DVec3; 3]> {
     let [a, b] = triangles else { return None };
     let apex = a.iter().position(|v| !b.contains(v))?;
     let other = b.iter().find(|v| !a.contains(v))?;
     let p = |v: u32| source.vertices[v as usize].position;
-    // Around the quadrilateral: apex, next, other, last.
+    // In order around the quadrilateral: apex, next, other, last.
     let (apex, next, last) = (p(a[apex]), p(a[(apex + 1) % 3]), p(a[(apex + 2) % 3]));
     let miss = (next + last - apex - p(*other)).length();
     let size = (next - last).length();
     (miss <= 1e-6 * size).then_some([apex, next - apex, last - apex])
 }
 
-/// The tracer's shape of a curved face.
+/// Returns the tracer's shape of a curved face.
 fn face_shape(face: &Face) -> KernelShape {
     let facing = KernelFacing::Outward;
     match *face {
@@ -470,7 +476,7 @@ fn face_shape(face: &Face) -> KernelShape {
         }
         Face::Disc { center, normal, radius } => KernelShape::Ring { center, normal, inner: 0.0, outer: radius },
         Face::Sphere { center, radius } => KernelShape::Sphere { center, radius, facing },
-        // Parallelograms are split into triangles before.
+        // Parallelograms have already been split into triangles.
         Face::Parallelogram { origin, edge_u, edge_v } => KernelShape::Ring {
             center: origin,
             normal: femc_math::cross(edge_u, edge_v).normalize_or(Vec3A::Z),
@@ -480,7 +486,7 @@ fn face_shape(face: &Face) -> KernelShape {
     }
 }
 
-/// A shape under a similarity.
+/// Transforms a shape by a similarity.
 pub fn transform_shape(shape: &Shape, t: &DAffine3) -> Shape {
     let scale = cbrt(t.matrix3.determinant().abs());
     let point = |p: DVec3| t.transform_point3(p);
@@ -512,7 +518,7 @@ fn kernel_facing(facing: Facing) -> KernelFacing {
     }
 }
 
-/// The tracer's f32 twin of a shape.
+/// Returns the tracer's f32 version of a shape.
 fn kernel_shape(shape: &Shape) -> KernelShape {
     let v = |p: DVec3| -> Vec3A { p.as_vec3a() };
     match *shape {
@@ -539,9 +545,9 @@ fn kernel_shape(shape: &Shape) -> KernelShape {
     }
 }
 
-/// How a material's surfaces appear to the tracer.
+/// Returns the properties of a material that the tracer needs.
 pub fn surface_class(material: &femc_scene::Material) -> SurfaceClass {
-    // A one-sided surface with a medium behind it must be seen from behind: paths leave the medium there.
+    // A one-sided surface with a medium behind it must be visible from behind, because paths leave the medium there.
     let cull = match material.sides {
         Sides::One if material.ior.is_none() && material.inside.is_none() => Cull::Back,
         _ => Cull::None,

@@ -1,4 +1,4 @@
-//! A frame made ready: compiled groups placed, lights collected, media and camera converted.
+//! Preparation of a frame: places compiled groups, collects lights, and converts media and camera.
 
 use crate::camera::{CameraPose, KernelCamera};
 use crate::compile::{Cache, Compiled, Compiler, NONE, Placed, mirror, surface_class};
@@ -20,12 +20,12 @@ use femc_scene::{Camera, Density, Motion, MotionPath, RegionBounds, Scalars, Sce
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// Which frame of a scene to prepare.
+/// Selection of the frame of a scene to prepare.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameSpec {
-    /// Camera by name; `None`: the scene's first.
+    /// Name of the camera; `None` selects the scene's first.
     pub camera: Option<String>,
-    /// Film size in place of the camera's own.
+    /// Film size that replaces the camera's own.
     pub size: Option<[u32; 2]>,
     /// Frame of the clip, from 1.
     pub frame: u32,
@@ -33,7 +33,7 @@ pub struct FrameSpec {
     pub filter_radius: f32,
 }
 
-/// Why a frame cannot be prepared.
+/// Error of the preparation of a frame.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PrepareError {
     /// The scene has no camera.
@@ -42,26 +42,26 @@ pub enum PrepareError {
     /// No camera has this name.
     #[error("no camera is called `{name}`; the scene has {}", known.join(", "))]
     UnknownCamera {
-        /// The name asked for.
+        /// Requested name.
         name: String,
-        /// The cameras there are.
+        /// Names of the existing cameras.
         known: Vec<String>,
     },
-    /// The camera looks nowhere.
+    /// The camera has no valid view direction.
     #[error("camera `{name}` looks along its up direction or at its own origin in frame {frame}")]
     DegenerateCamera {
-        /// Its name.
+        /// Name of the camera.
         name: String,
-        /// The frame.
+        /// Number of the frame.
         frame: u32,
     },
     /// A measured intensity distribution is unusable.
     #[error("a luminaire's photometry cannot be used: {0}")]
     Photometry(#[from] femc_emission::PhotometryError),
-    /// The first pass has no solution that can be used.
+    /// The first pass has no usable solution.
     #[error("{reason}")]
     FirstPass {
-        /// Why, and what to use instead.
+        /// Reason, and an alternative.
         reason: String,
     },
     /// A varied scalar cannot be set.
@@ -69,35 +69,35 @@ pub enum PrepareError {
     Selector(#[from] femc_scene::SelectorError),
 }
 
-/// An instance of a compiled group as the kernels see it.
+/// An instance of a compiled group, for the kernels.
 #[derive(Clone, Debug)]
 pub struct PlacedGroup {
-    /// Its surfaces.
+    /// Surfaces of the group.
     pub compiled: Arc<Compiled>,
-    /// What carries it, from the group's frame to the world, innermost first.
+    /// Motions from the group's frame to the world, innermost first.
     pub motions: Vec<Motion>,
     /// Whether the group was mirrored when it was compiled.
     mirrored: bool,
-    /// Light index of its first emitter.
+    /// Light index of the first emitter.
     pub first_light: u32,
 }
 
-/// A frame ready to trace.
+/// A frame that is ready to trace.
 #[derive(Debug)]
 pub struct Prepared {
-    /// The description that it was made from.
+    /// Description from which the frame was prepared.
     pub scene: Arc<Scene>,
-    /// What it was made from: frames of equal worlds share all but the camera.
+    /// Digests of the frame's inputs. Frames with equal worlds share everything but the camera.
     pub frame_key: FrameKey,
     /// Frame of the clip, from 1.
     pub frame: u32,
     /// All surfaces.
     pub world: Arc<World>,
-    /// By instance index of `world`.
+    /// Instances by instance index of `world`.
     pub instances: Arc<Vec<PlacedGroup>>,
-    /// By material index of the description.
+    /// Materials by material index of the description.
     pub materials: Arc<Vec<KernelMaterial>>,
-    /// By image index of the description.
+    /// Textures by image index of the description.
     pub textures: Arc<Vec<Texture>>,
     /// Intensity distributions of luminaires.
     pub photometry: Arc<PhotometryTables>,
@@ -107,24 +107,24 @@ pub struct Prepared {
     pub media: Arc<Media>,
     /// The camera.
     pub camera: KernelCamera,
-    /// Small light sources by the pixels that see them.
+    /// Small light sources, listed by the pixels that see them.
     pub sightings: Sightings,
     /// World position of the prepared frame's origin, m.
     pub origin: DVec3,
-    /// No distance between a light and a ray is treated as smaller than this, m: a millionth of the scene's extent.
+    /// Minimum distance between a light and a ray, m; smaller distances are raised to it. It is a millionth of the scene's extent.
     pub least_distance: f32,
-    /// Closed objects with a medium inside that hold the camera.
+    /// Media of the closed objects that contain the camera.
     pub camera_inside: Inside,
-    /// Whether light can go straight through a surface: shadow rays look at what they meet then.
+    /// Whether light can go straight through a surface. If so, shadow rays examine the surfaces that they hit.
     pub has_clear_surfaces: bool,
     /// Brightness of the lamps ([`Scalars::brightness`]).
     pub brightness: f32,
-    /// The light that the first pass has found, where there was one.
+    /// Light field found by the first pass, if there was one.
     pub field: Option<Arc<Field>>,
     cache: Cache,
 }
 
-/// Where a frame is seen from.
+/// Viewpoint of a frame.
 pub(crate) struct Sight<'a> {
     pub camera: &'a Camera,
     pub film: [u32; 2],
@@ -150,21 +150,22 @@ impl<'a> Sight<'a> {
     }
 }
 
-/// What a frame would be made from.
+/// Returns the digests of the inputs of a frame, without preparing it.
 pub fn frame_key(source: &Source, spec: &FrameSpec) -> Result<FrameKey, PrepareError> {
     let scene = source.scene();
     let now = scene.scalars_at(scene.frame_time(spec.frame))?;
     Ok(Sight::of(source, &now, spec)?.frame_key(source, &now, spec.frame))
 }
 
-/// Prepares a frame. `previous`: any other; what the two have in common is shared: all but the camera if their worlds are
-/// equal, and unchanged surfaces if one scene is a variant of the other.
+/// Prepares a frame. `previous` is any other frame; the two share what they have in common. If their worlds are equal, this is
+/// everything but the camera. If one scene is a variant of the other, it is the unchanged surfaces.
 pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -> Result<Prepared, PrepareError> {
     let scene = source.scene();
     prepare_with(source, spec, &scene.scalars_at(scene.frame_time(spec.frame))?, previous)
 }
 
-/// The same with lamps of brightness 1 ([`Scalars::of_brightness_one`]): frames whose [`FrameKey::light`] is equal give the same world.
+/// Prepares a frame like [`prepare`], but with lamps of brightness 1 ([`Scalars::of_brightness_one`]). Frames with equal
+/// [`FrameKey::light`] give the same world.
 pub fn prepare_of_brightness_one(
     source: &Source,
     spec: &FrameSpec,
@@ -215,7 +216,7 @@ fn prepare_with(
     Ok(prepared)
 }
 
-/// Builds a world. `previous`: of a variant of the same scene, if of any.
+/// Builds a world. `previous`: a frame of a variant of the same scene, if any.
 fn build(
     scene: &Arc<Scene>,
     now: &Scalars,
@@ -290,8 +291,8 @@ fn build(
 }
 
 impl Prepared {
-    /// The media of the closed objects that hold `point`: those whose surfaces a ray from there leaves without having
-    /// entered them.
+    /// Returns the media of the closed objects that contain `point`. These are the objects whose surfaces a ray from the point
+    /// leaves without having entered them.
     fn media_around(&self, point: Vec3A) -> Inside {
         let mut ray = Ray { origin: point, dir: Vec3A::new(0.36, 0.48, 0.8), t_max: f32::INFINITY, time: 0.0 };
         let (mut entered, mut left) = (Inside::default(), Vec::new());
@@ -315,7 +316,7 @@ impl Prepared {
     }
 }
 
-/// The camera of a name, or the first.
+/// Returns the camera of a name, or the first.
 pub fn find_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'a Camera, PrepareError> {
     match name {
         None => cameras.first().ok_or(PrepareError::NoCamera),
@@ -326,7 +327,7 @@ pub fn find_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'a 
     }
 }
 
-/// By where the camera is at the start of the clip: the same for every frame.
+/// Returns the origin for the camera's position at the start of the clip, so that it is the same for every frame.
 fn rebase_origin(source: &Source, camera: Option<&str>) -> Result<DVec3, PrepareError> {
     let scene = source.scene();
     let camera = find_camera(&scene.cameras, camera)?.at(&scene.paths, scene.frame_time(1));
@@ -358,7 +359,8 @@ impl Assembly<'_> {
         let carrier = if moves { self.inputs.len() as u32 } else { NONE };
         let to_frame = if moves { DAffine3::IDENTITY } else { first };
         self.add_emitters(&instance.compiled, carrier, &to_frame);
-        // The tracer's surface is rounded in the compiled frame and again by the pose: the light's points are only that near.
+        // The tracer's surface is rounded in the compiled frame and again by the pose. The light's points match it only to this
+        // accuracy.
         if first != DAffine3::IDENTITY {
             let bounds = instance.compiled.blas.bounds();
             let local = bounds.min.abs().max(bounds.max.abs()).max_element();
@@ -387,7 +389,7 @@ impl Assembly<'_> {
 }
 
 impl PlacedGroup {
-    /// Compiled frame to prepared frame at `time`, s.
+    /// Returns the transform from compiled frame to prepared frame at `time`, s.
     fn pose(&self, time: f64, paths: &[MotionPath], origin: DVec3) -> DAffine3 {
         let mut pose = DAffine3::from_translation(self.compiled.center);
         if self.mirrored {
@@ -399,7 +401,7 @@ impl PlacedGroup {
         DAffine3::from_translation(-origin) * pose
     }
 
-    /// The same over a shutter; and at its opening.
+    /// Returns the pose over a shutter, and the transform at its opening.
     pub(crate) fn pose_over(&self, [open, close]: [f64; 2], paths: &[MotionPath], origin: DVec3) -> (Pose, DAffine3) {
         let first = self.pose(open, paths, origin);
         if close <= open || !self.motions.iter().any(|motion| motion.is_animated(paths)) {
@@ -411,7 +413,7 @@ impl PlacedGroup {
     }
 }
 
-/// Shutter poses enough that the rotation between neighbours stays below 15 degrees, at least two.
+/// Returns a number of shutter poses, at least two, such that the rotation between neighbors stays below 15 degrees.
 fn pose_count(a: &DAffine3, b: &DAffine3) -> usize {
     let (_, qa, _) = a.to_scale_rotation_translation();
     let (_, qb, _) = b.to_scale_rotation_translation();
@@ -430,7 +432,7 @@ fn affine(t: &DAffine3) -> Affine3A {
     }
 }
 
-/// The media; those that do nothing fill nothing. `carried`: whether some are behind surfaces.
+/// Returns the media; a medium without any effect fills nothing. `carried`: whether some are behind surfaces.
 fn media(scene: &Scene, now: &Scalars, origin: DVec3, carried: bool) -> Media {
     let color = |c: [f64; 3], amount: f64| Rgb::from_array(c.map(|c| (c * amount).max(0.0) as f32));
     let kernels = now.media.iter().map(|m| {
@@ -454,7 +456,7 @@ fn media(scene: &Scene, now: &Scalars, origin: DVec3, carried: bool) -> Media {
         match &region.bounds {
             RegionBounds::Everywhere => media.fill_everywhere(medium),
             RegionBounds::Box { min, max, to_world } => {
-                // Around the box's own middle, so that local coordinates are small.
+                // The box is relative to its own middle, so that local coordinates are small.
                 let middle = 0.5 * (*min + *max);
                 let to_frame = DAffine3::from_translation(-origin) * *to_world * DAffine3::from_translation(middle);
                 let half = (0.5 * (*max - *min)).abs().as_vec3a();
@@ -466,7 +468,7 @@ fn media(scene: &Scene, now: &Scalars, origin: DVec3, carried: bool) -> Media {
 }
 
 fn phase(phase: &femc_scene::Phase) -> Phase {
-    // What is less than 1 may round to it, where there is no density.
+    // A value below 1 may round to 1, where the density is zero.
     let most = 1f32.next_down();
     let inside = |parameter: f64| (parameter as f32).clamp(-most, most);
     match *phase {

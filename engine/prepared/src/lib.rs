@@ -1,8 +1,9 @@
-//! Prepared frames: a scene's description at one time, turned into what the kernels read: BVHs, materials, lights, media
+//! Prepared frames: a scene's description at one time, converted to the data that the kernels read: BVHs, materials, lights, media
 //! and the camera.
 //!
-//! Coordinates are rebased: a whole number of metres near the camera is subtracted in f64 before anything becomes f32, the
-//! same for all frames of a clip. What did not change since an earlier frame, or is equal in a variant of the scene, is shared.
+//! Coordinates are rebased: a whole number of meters near the camera is subtracted in f64 before anything becomes f32. The offset
+//! is the same for all frames of a clip. Data that have not changed since an earlier frame, or that are equal in a variant of the
+//! scene, are shared.
 #![deny(missing_docs)]
 
 pub mod airlit;

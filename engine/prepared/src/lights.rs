@@ -1,4 +1,4 @@
-//! The light sources of a frame, with their places and textures.
+//! Light sources of a frame, with their placements and textures.
 
 use crate::compile::{Emitter, EmitterShape, NONE};
 use crate::texture::Texture;
@@ -16,24 +16,24 @@ use femc_math::glam::{Affine3, Affine3A, DAffine3, DVec3, Vec2, Vec3A};
 use femc_scene::{Facing, Luminaire, Material, Opening, Photometry, PhotometryType, Scene, Shape};
 use std::sync::Arc;
 
-/// Behind fog of this optical depth little is seen: light from there is left to chance.
+/// Optical depth beyond which fog hides almost everything; light from there is not sampled deliberately.
 const DEEPEST: f32 = 10.0;
 
-/// All light sources. A light is fixed in the prepared frame, or in the frame of an instance that moves in the shutter.
+/// All light sources. A light is fixed in the prepared frame, or in the frame of an instance that moves during the shutter.
 #[derive(Debug, Default)]
 pub struct Lights {
     lights: Vec<Light>,
     entries: Vec<Entry>,
-    /// Middles of the lights, in the frames that they are kept in.
+    /// Centers of the lights, in the frames in which they are stored.
     centers: Vec<Vec3A>,
-    /// Where the lights are over the shutter, prepared frame, and their flux, lm.
+    /// Bounds of the lights over the shutter, prepared frame, and their flux, lm.
     places: Vec<(Aabb, f32)>,
     many: ManyLights,
-    /// Longest stretch of a ray that is looked at when a light is chosen for it, m.
+    /// Maximum length of a ray segment that is considered when a light is chosen for it, m.
     reach: f32,
 }
 
-/// Place and texture of a light.
+/// Carrier and texture of a light.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Moving instance that carries it, or `NONE`.
@@ -42,7 +42,7 @@ pub struct Entry {
     pub texture: u32,
     /// Texture coordinates at the corners of a triangle.
     pub uv: [Vec2; 3],
-    /// How far the traced surface may lie from the light's, m, per axis.
+    /// Maximum distance of the traced surface from the light's surface, m, per axis.
     pub slack: f32,
 }
 
@@ -53,7 +53,7 @@ impl Default for Entry {
 }
 
 impl Lights {
-    /// Joins lights with their entries (same length and order) in `world`.
+    /// Combines lights with their entries (same length and order) in `world`.
     /// - `haze`: extinction of the media at a point of the prepared frame, 1/m.
     pub fn new(lights: Vec<Light>, entries: Vec<Entry>, world: &World, haze: impl Fn(Vec3A) -> f32) -> Self {
         debug_assert_eq!(lights.len(), entries.len());
@@ -66,27 +66,27 @@ impl Lights {
         Self { many: ManyLights::new(&bounds), lights, entries, centers, places, reach }
     }
 
-    /// Whether there is no light at all.
+    /// Returns whether there are no lights.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// Number of lights.
+    /// Returns the number of lights.
     pub fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// Box around a light over the whole shutter, prepared frame, m.
+    /// Returns the bounds of a light over the whole shutter, prepared frame, m.
     pub fn bounds(&self, light: u32) -> Aabb {
         self.places[light as usize].0
     }
 
-    /// Luminous flux of a light, lm.
+    /// Returns the luminous flux of a light, lm.
     pub fn power(&self, light: u32) -> f32 {
         self.places[light as usize].1
     }
 
-    /// Luminous flux of a light with its texture at most, lm: a texture's values may be above 1.
+    /// Returns the maximum luminous flux of a light with its texture, lm. A texture's values may be above 1.
     pub fn power_at_most(&self, textures: &[Texture], light: u32) -> f32 {
         let texture = match self.entries[light as usize].texture {
             NONE => 1.0,
@@ -95,23 +95,24 @@ impl Lights {
         texture * self.power(light)
     }
 
-    /// Whether rays may meet a light: it is no point.
+    /// Returns whether rays can hit a light, because it is not a point.
     pub(crate) fn may_be_met(&self, light: u32) -> bool {
         !matches!(self.lights[light as usize], Light::PhotometricPoint(_))
     }
 
-    /// A point that wants light.
-    /// - `normal`: of the side that light is scattered from; zero where light counts from all sides.
-    /// - `lobes`: how light is scattered there, if that is known.
+    /// Describes a point that receives light.
+    /// - `normal`: normal of the side that light is scattered from; zero if light counts from all sides.
+    /// - `lobes`: scattering lobes at the point, if they are known.
     #[inline]
     pub fn at_point(&self, position: Vec3A, normal: Vec3A, lobes: Option<Lobes>) -> AtPoint {
         AtPoint { position, normal, lobes }
     }
 
-    /// A stretch of a ray along which light is wanted.
+    /// Describes a ray segment that receives light.
     /// - `range`: first and last distance, m.
-    /// - `fog`: its extinction, 1/m, and the parameter of its phase function ([`Media::character`](crate::media::Media::character)).
-    /// - `angles`: at which each light is looked at.
+    /// - `fog`: its extinction, 1/m, and the parameter of its phase function
+    ///   ([`Media::character`](crate::media::Media::character)).
+    /// - `angles`: angles at which each light is evaluated.
     #[inline]
     pub fn along(&self, origin: Vec3A, dir: Vec3A, range: (f32, f32), fog: (f32, f32), angles: u32) -> AlongSegment {
         let (extinction, phase) = fog;
@@ -120,31 +121,33 @@ impl Lights {
         AlongSegment { origin, dir, range: (start, end.min(start + reach)), end, angles, extinction, phase }
     }
 
-    /// Weighs all lights for a place; what is chosen there later is read from `choice`.
+    /// Computes weights of all lights for a point or segment. Later choices read them from `choice`.
     #[inline]
     pub fn weigh(&self, place: &impl Wanting, choice: &mut Choice) {
         self.many.weigh(place, choice);
     }
 
-    /// Chooses a light for a place that was weighed, by `u` in [0, 1): (index, probability). `None`: none can send anything there.
+    /// Chooses a light for a weighed point or segment, with `u` in [0, 1). Returns (index, probability), or `None` if no light can
+    /// reach it.
     #[inline]
     pub fn choose(&self, choice: &Choice, place: &impl Wanting, u: f64) -> Option<(u32, f32)> {
         self.many.choose(choice, place, u)
     }
 
-    /// Probability that [`Lights::choose`] chooses a light.
+    /// Returns the probability that [`Lights::choose`] chooses a light.
     #[inline]
     pub fn probability(&self, choice: &Choice, place: &impl Wanting, light: u32) -> f32 {
         self.many.probability(choice, place, light)
     }
 
-    /// All lights, for directions that pass near them.
+    /// Returns all lights, for sampling directions that pass near them.
     #[inline]
     pub fn many(&self) -> &ManyLights {
         &self.many
     }
 
-    /// What a measured light that stands sends along some directions (unit, away from it), cd; `None` of other lights.
+    /// Returns the intensities of a stationary light with measured photometry along some directions (unit, away from it), cd;
+    /// `None` for other lights.
     #[inline]
     pub(crate) fn intensities(&self, light: u32, directions: impl FnOnce() -> [Vec3A; 8]) -> Option<[f32; 8]> {
         let source = &self.lights[light as usize];
@@ -152,7 +155,7 @@ impl Lights {
         (stands && source.has_intensity()).then(|| directions().map(|dir| source.intensity(dir).unwrap_or(0.0)))
     }
 
-    /// Draws a point on one light; the density is that of the point alone.
+    /// Samples a point on one light. The density is that of the point alone.
     #[inline]
     pub fn sample_light(
         &self,
@@ -177,14 +180,15 @@ impl Lights {
         Some(sample)
     }
 
-    /// Corners of a light that is a flat polygon and stands still, prepared frame, m; none of others.
+    /// Returns the corners of a stationary flat polygonal light, prepared frame, m; empty for other lights.
     pub(crate) fn corners(&self, light: u32) -> Vec<Vec3A> {
         let stands = self.entries[light as usize].carrier == NONE;
         if stands { self.lights[light as usize].corners() } else { Vec::new() }
     }
 
-    /// Corners in order, counter-clockwise about the front normal, luminance of the sides and whether the back has it, too, of a flat
-    /// polygon that stands still and is as bright everywhere and from everywhere; `None` of other lights.
+    /// Returns a stationary flat polygonal light that is uniformly bright in position and direction; `None` for other lights. The
+    /// result is its corners, counter-clockwise about the front normal, the luminance of its sides, and whether the back emits,
+    /// too.
     pub fn even_polygon(&self, light: u32) -> Option<(Vec<Vec3A>, Rgb, bool)> {
         let (normal, emission) = match &self.lights[light as usize] {
             Light::Triangle(it) => (it.normal(), it.emission),
@@ -203,7 +207,7 @@ impl Lights {
         Some((corners, emission.radiance(1.0), both))
     }
 
-    /// The point of such a light that is seen from `reference` in direction `dir` (unit), with density 1.
+    /// Samples the point of a stationary flat light that is seen from `reference` in direction `dir` (unit), with density 1.
     #[inline]
     pub fn sample_toward(&self, textures: &[Texture], light: u32, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
         let entry = &self.entries[light as usize];
@@ -215,7 +219,8 @@ impl Lights {
         Some(sample)
     }
 
-    /// Density, 1/sr, with which [`Lights::sample_light`] draws the point that a ray met, without the light's probability.
+    /// Returns the density, 1/sr, with which [`Lights::sample_light`] samples a point that a ray hit, without the light's
+    /// probability.
     #[inline]
     pub fn pdf(&self, world: &World, light: u32, reference: Vec3A, time: f32, at: (Vec3A, Vec3A), dir: Vec3A) -> f32 {
         let entry = &self.entries[light as usize];
@@ -232,7 +237,7 @@ impl Lights {
         )
     }
 
-    /// Radiance, cd/m2, that the light sends in `dir` (unit, away from it) from a point with `normal`.
+    /// Returns the radiance, cd/m2, that the light emits in `dir` (unit, away from it) from a point with `normal`.
     #[inline]
     pub fn radiance(
         &self,
@@ -260,7 +265,7 @@ impl Lights {
         radiance
     }
 
-    /// Middle of a light, prepared frame, m.
+    /// Returns the center of a light, prepared frame, m.
     #[inline]
     pub fn center(&self, world: &World, light: u32, time: f32) -> Vec3A {
         let center = self.centers[light as usize];
@@ -279,13 +284,14 @@ impl Entry {
     }
 }
 
-/// The way back, by scalars: glam's wide types fuse products where the compiler may use FMA.
+/// Returns the inverse, with scalar arithmetic: glam's wide types fuse products where the compiler may use FMA.
 #[inline]
 fn inverse(pose: &Affine3A) -> Affine3A {
     Affine3::from(*pose).inverse().into()
 }
 
-/// Draws a point on a light that a moving instance carries. Poses are similarities: densities per steradian stay, lengths scale.
+/// Samples a point on a light that a moving instance carries. Poses are similarities: densities per steradian stay the same,
+/// lengths scale.
 fn carried(light: &Light, pose: &Affine3A, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
     let back = inverse(pose);
     let mut sample = light.sample(back.transform_point3a(reference), u)?;
@@ -299,20 +305,20 @@ fn carried(light: &Light, pose: &Affine3A, reference: Vec3A, u: [f32; 2]) -> Opt
     Some(sample)
 }
 
-/// Factor by which a pose scales lengths; it is a similarity.
+/// Returns the factor by which a pose, which is a similarity, scales lengths.
 #[inline]
 fn scale_of(pose: &Affine3A) -> f32 {
     pose.matrix3.x_axis.length()
 }
 
-/// Factor on what a light that a pose has scaled sends toward a place: surfaces keep their radiance; a luminaire keeps its intensity,
-/// which comes from a larger opening, or from farther away.
+/// Returns the factor on the radiance of a light that a pose has scaled. Surfaces keep their radiance. A luminaire keeps its
+/// intensity, which now comes from a larger opening, or from farther away.
 #[inline]
 fn dilution(light: &Light, scale: f32) -> f32 {
     if light.has_intensity() { 1.0 / (scale * scale) } else { 1.0 }
 }
 
-/// What the choice of a light knows of it, in the prepared frame over the whole shutter.
+/// Returns the bounds with which a light is chosen, in the prepared frame over the whole shutter.
 fn bounds(light: &Light, entry: &Entry, world: &World, haze: impl Fn(Vec3A) -> f32) -> LightBounds {
     let ((low, high), power) = (light.bounds(), light.power());
     if entry.carrier == NONE {
@@ -327,7 +333,7 @@ fn bounds(light: &Light, entry: &Entry, world: &World, haze: impl Fn(Vec3A) -> f
     LightBounds { low, high, center, power, haze: haze(center), cone: EmissionCone::ALL }
 }
 
-/// The shape of an emitter in the frame where its light is kept.
+/// Returns the shape of an emitter in the frame in which its light is stored.
 pub fn placed(emitter: &Emitter, to_frame: &DAffine3) -> EmitterShape {
     match emitter.shape {
         EmitterShape::Triangle(p) => EmitterShape::Triangle(p.map(|p| to_frame.transform_point3(p))),
@@ -350,7 +356,7 @@ pub struct PhotometryTables {
 }
 
 impl PhotometryTables {
-    /// By photometry index of the scene.
+    /// Builds the tables, in the order of the scene's photometry indices.
     pub fn new(scene: &Scene) -> Result<Self, PhotometryError> {
         let table = |p: &Photometry| {
             let kind = match p.kind {
@@ -364,7 +370,7 @@ impl PhotometryTables {
         Ok(Self { tables: scene.photometry.iter().map(table).collect::<Result<_, _>>()? })
     }
 
-    /// The light of a luminaire; `to_frame` maps the luminaire's own frame to the one that the light is kept in.
+    /// Returns the light of a luminaire. `to_frame` maps the luminaire's own frame to the frame in which the light is stored.
     pub fn light(&self, luminaire: &Luminaire, to_frame: &DAffine3) -> Light {
         let (table, opening) = &self.tables[luminaire.photometry.index()];
         let scale = cbrt(to_frame.matrix3.determinant().abs());
@@ -386,7 +392,7 @@ impl PhotometryTables {
     }
 }
 
-/// The light of an emitter; `material` is that of its surface, which luminaires do not have.
+/// Returns the light of an emitter. `material` is that of its surface; luminaires have none.
 pub fn light_of(shape: &EmitterShape, material: Option<&Material>, tables: &PhotometryTables) -> Light {
     let black = Material::default();
     let material = material.unwrap_or(&black);

@@ -1,4 +1,4 @@
-//! Materials as the kernels read them.
+//! Materials in the form that the kernels read.
 
 use crate::texture::Texture;
 use femc_math::Rgb;
@@ -6,17 +6,17 @@ use femc_math::glam::{Vec2, Vec3A};
 use femc_scattering::{Bsdf, MaterialParameters, Sides as KernelSides};
 use femc_scene::{Material, Sides, Tinted};
 
-/// What a surface does to light that meets it.
+/// Effect of a surface on light that hits it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Crossing {
-    /// It scatters by the BSDF.
+    /// Scattering by the BSDF.
     Scatter,
-    /// It scatters by the BSDF, of which a part goes straight on: a clear sheet. Shadow rays pass with that part.
+    /// Scattering by the BSDF, with a part that goes straight on: a clear sheet. Shadow rays pass with that part.
     Clear {
         /// Share of the radiance that goes straight on.
         tint: Rgb,
     },
-    /// All goes straight on, multiplied by the tint: an index-matched clear interface, there only to bound a medium.
+    /// All light goes straight on, multiplied by the tint. This is an index-matched clear interface that only bounds a medium.
     Null {
         /// Factor on the radiance.
         tint: Rgb,
@@ -24,7 +24,7 @@ pub enum Crossing {
 }
 
 impl Crossing {
-    /// Share of the radiance that goes straight on.
+    /// Returns the share of the radiance that goes straight on.
     #[inline]
     pub fn unbent(self) -> Rgb {
         match self {
@@ -39,11 +39,11 @@ impl Crossing {
 pub struct KernelMaterial {
     /// Scattering where no texture changes it.
     pub bsdf: Bsdf,
-    /// Parameters of the description; `bsdf` has them limited to the light that the surface receives.
+    /// Parameters of the description. In `bsdf` they are limited to the light that the surface receives.
     pub parameters: MaterialParameters,
-    /// From the front, and from the back.
+    /// Effects on light from the front and from the back.
     pub crossing: [Crossing; 2],
-    /// Whether shading happens in a frame that faces the viewer (no solid behind the surface).
+    /// Orientation of the shading frame: toward the viewer if there is no solid behind the surface.
     pub faces_viewer: Orientation,
     /// Medium behind the surface.
     pub inside: Option<u16>,
@@ -55,23 +55,23 @@ pub struct KernelMaterial {
     pub map_n: Option<u32>,
 }
 
-/// How the shading frame is turned.
+/// Orientation of the shading frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Orientation {
-    /// The frame's normal is turned to the side the path comes from.
+    /// The frame's normal is turned to the side from which the path comes.
     TowardViewer,
     /// The frame's normal stays on the front side (solids).
     Front,
 }
 
-/// Linear Rec.709 product of a scalar and its color; channels are at least 0 and finite.
+/// Returns the linear Rec.709 product of a scalar and its color; channels are at least 0 and finite.
 fn product(tinted: &Tinted) -> Rgb {
     Rgb::from_array(tinted.color.map(|c| (c * tinted.amount).clamp(0.0, f64::from(f32::MAX)) as f32))
 }
 
 impl KernelMaterial {
-    /// Converts a description. A channel that asks for more light than the surface receives (a saturated color of luminance 1
-    /// can) is limited, see [`MaterialParameters::conserving`]; the import warns of it.
+    /// Converts a description. A channel that demands more light than the surface receives (a saturated color of luminance 1 can)
+    /// is limited, see [`MaterialParameters::conserving`]; the import warns of it.
     pub fn new(material: &Material) -> Self {
         let parameters = MaterialParameters {
             sides: match material.sides {
@@ -100,7 +100,7 @@ impl KernelMaterial {
         let crossing = if matched {
             [Crossing::Null { tint }; 2]
         } else if material.sides == Sides::One && !solid && material.inside.is_some() {
-            // Invisible from behind; met there only because a medium ends (see `surface_class`).
+            // Such a surface is invisible from behind. Rays only hit it there because a medium ends (see `surface_class`).
             [met, Crossing::Null { tint: Rgb::ONE }]
         } else {
             [met; 2]
@@ -117,13 +117,14 @@ impl KernelMaterial {
         }
     }
 
-    /// The BSDF at a point whose texture of `rd` has value `texel`.
+    /// Returns the BSDF at a point where the texture of `rd` has the value `texel`.
     pub fn textured(&self, texel: Rgb) -> Bsdf {
         self.bsdf.with_diffuse_factor(texel.clamp(Rgb::ZERO, Rgb::ONE))
     }
 }
 
-/// The shading normal under a normal map: `texel` is the tangent-space normal, `tangent` the direction of growing u.
+/// Returns the shading normal of a normal map. `map` at `uv` contains the tangent-space normal; `tangent` is the direction of
+/// increasing u.
 pub fn mapped_normal(normal: Vec3A, tangent: Vec3A, map: &Texture, uv: Vec2) -> Vec3A {
     let texel = map.lookup(uv);
     let tangent = (tangent - normal * normal.dot(tangent)).normalize_or_zero();

@@ -1,8 +1,8 @@
-//! Participating media along a ray: intervals of constant coefficients plus height-dependent fog, all with closed-form
-//! optical depth, so that transmittance is exact and distances are drawn by inversion.
+//! Participating media along a ray: intervals of constant coefficients, plus height-dependent fog. All have closed-form optical
+//! depth, so transmittance is exact and distances are sampled by inversion.
 //!
-//! Overlapping media add up. Coefficients may differ by colour channel; a distance is then drawn for one channel and its
-//! density is the mean over the channels, which keeps the estimator unbiased and its weights bounded.
+//! Overlapping media add up. Coefficients may differ by color channel. A distance is then sampled for one channel, and its density
+//! is the mean over the channels. This keeps the estimator unbiased and its weights bounded.
 
 use femc_geometry::Aabb;
 use femc_math::Rgb;
@@ -12,7 +12,7 @@ use femc_math::glam::{Affine3, Affine3A, Vec3A};
 use femc_scattering::Phase;
 use femc_scene::Medium;
 
-/// Farthest distance along a ray, m: infinity for products that must stay finite.
+/// Maximum distance along a ray, m. It replaces infinity in products that must stay finite.
 pub const FAR: f32 = 1e30;
 
 /// Relative density of a medium over height.
@@ -29,14 +29,14 @@ pub enum Profile {
     },
 }
 
-/// A medium as the kernels read it.
+/// A medium in the form that the kernels read.
 #[derive(Clone, Debug)]
 pub struct KernelMedium {
     /// Scattering coefficient at density 1, 1/m.
     pub sigma_s: Rgb,
     /// Extinction coefficient at density 1, 1/m.
     pub sigma_t: Rgb,
-    /// Emitted radiance per metre at density 1, cd/m2/m.
+    /// Emitted radiance per meter at density 1, cd/m2/m.
     pub glow: Rgb,
     /// Phase function.
     pub phase: Phase,
@@ -56,7 +56,7 @@ impl KernelMedium {
         }
     }
 
-    /// Integral of the density over [a, b] along a ray with heights `oz + dz t`, m.
+    /// Returns the integral of the density over [a, b] along a ray with heights `oz + dz t`, m.
     fn column(&self, oz: f32, dz: f32, a: f32, b: f32) -> f32 {
         let Profile::Height { z0, inverse_scale } = self.profile else { return b - a };
         // Split at the height of full density, then integrate an exponential over the part above it.
@@ -79,7 +79,7 @@ impl KernelMedium {
         let start = exp(-((oz + dz * above.0 - z0) * inverse_scale).max(0.0));
         let rate = dz * inverse_scale * length;
         let mean = if rate.abs() < 1e-3 { 1.0 - 0.5 * rate } else { -exp_m1(-rate) / rate };
-        // A descending ray far above the fog: `start` underflows while `mean` overflows; measure from the dense end instead.
+        // On a descending ray far above the fog, `start` underflows while `mean` overflows, so measure from the dense end instead.
         if rate < -60.0 {
             let end = exp(-((oz + dz * above.1 - z0) * inverse_scale).max(0.0));
             return below + end / (-dz * inverse_scale);
@@ -88,7 +88,7 @@ impl KernelMedium {
     }
 }
 
-/// Where a medium is.
+/// Region of a medium.
 #[derive(Clone, Debug)]
 enum Bounds {
     Everywhere,
@@ -104,7 +104,7 @@ pub struct Media {
     glows: bool,
 }
 
-/// Media that a path carries because it is inside a closed object: a multiset of medium indices.
+/// Media of the closed objects that a path is inside: a multiset of medium indices.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Inside {
     media: [u16; Medium::MOST_NESTED],
@@ -112,8 +112,8 @@ pub struct Inside {
 }
 
 impl Inside {
-    /// Enters `medium`. More than [`Medium::MOST_NESTED`] nested media are not tracked: the deepest are
-    /// ignored, which `femc check` says.
+    /// Enters `medium`. At most [`Medium::MOST_NESTED`] nested media are tracked. Deeper ones are ignored, which `femc check`
+    /// reports.
     pub fn push(&mut self, medium: u16) {
         if let Some(slot) = self.media.get_mut(usize::from(self.count)) {
             *slot = medium;
@@ -121,7 +121,7 @@ impl Inside {
         }
     }
 
-    /// Leaves `medium`; nothing happens when the path is not in it.
+    /// Leaves `medium`. Has no effect if the path is not in it.
     pub fn remove(&mut self, medium: u16) {
         let n = usize::from(self.count);
         if let Some(i) = self.media[..n].iter().rposition(|&m| m == medium) {
@@ -130,31 +130,31 @@ impl Inside {
         }
     }
 
-    /// The media, outermost first.
+    /// Iterates over the media, outermost first.
     pub fn iter(&self) -> impl Iterator<Item = u16> + '_ {
         self.media[..usize::from(self.count)].iter().copied()
     }
 }
 
-/// A run of the ray in which the set of media is constant.
+/// An interval of the ray with a constant set of media.
 #[derive(Clone, Copy, Debug)]
 struct Interval {
     start: f32,
     end: f32,
-    /// Sums over the uniform media.
+    /// Sum over the uniform media.
     sigma_t: Rgb,
     sigma_s: Rgb,
-    /// Extinction of the uniform media that scatter: what distances are drawn by.
+    /// Extinction of the uniform media that scatter. Distances are sampled by it.
     drawn: Rgb,
     glow: Rgb,
-    /// Media of the interval in `MediaRay::active`.
+    /// First of the interval's media in `MediaRay::active`.
     first: u32,
     count: u32,
     /// Whether some medium varies with height.
     varies: bool,
 }
 
-/// Buffers of [`Media::along`], reused from ray to ray.
+/// Buffers of [`Media::along`], reused for all rays.
 #[derive(Default)]
 pub struct MediaRay {
     crossings: Vec<(f32, u32, i32)>,
@@ -170,7 +170,8 @@ pub struct MediaRay {
 pub struct Event {
     /// Distance, m.
     pub t: f32,
-    /// Transmittance from the ray's origin times the scattering coefficient at `t`, divided by the density of `t`.
+    /// Transmittance from the ray's origin times the scattering coefficient at `t`. [`Media::draw`] divides it by the density of
+    /// `t`; [`Media::event_at`] does not.
     pub weight: Rgb,
     /// Density of the distance, 1/m.
     pub pdf: f32,
@@ -178,26 +179,26 @@ pub struct Event {
     interval: u32,
 }
 
-/// Outcome of drawing a distance.
+/// Outcome of sampling a distance.
 #[derive(Clone, Copy, Debug)]
 pub enum Distance {
     /// A scattering event.
     Scatter(Event),
-    /// The ray went through; the weight is transmittance / probability.
+    /// The ray passed through; the weight is transmittance / probability.
     Through {
-        /// Transmittance to the end divided by its probability.
+        /// Transmittance to the end, divided by its probability.
         weight: Rgb,
     },
 }
 
 impl Media {
-    /// Media by index. `carried`: whether surfaces have media behind them (see [`Inside`]).
+    /// Creates media, in order of their indices. `carried`: whether surfaces have media behind them (see [`Inside`]).
     pub fn new(media: Vec<KernelMedium>, carried: bool) -> Self {
         let glows = media.iter().any(|m| m.glow.max_element() > 0.0);
         Self { media, regions: Vec::new(), carried, glows }
     }
 
-    /// Fills everything with `medium`.
+    /// Fills all space with `medium`.
     pub fn fill_everywhere(&mut self, medium: u16) {
         self.regions.push((medium, Bounds::Everywhere));
     }
@@ -207,17 +208,17 @@ impl Media {
         self.regions.push((medium, Bounds::Box { to_local, min, max }));
     }
 
-    /// Whether no path can ever be in a medium.
+    /// Returns whether no path can ever be in a medium.
     pub fn is_empty(&self) -> bool {
         self.regions.is_empty() && !self.carried
     }
 
-    /// Whether some medium emits.
+    /// Returns whether some medium emits.
     pub fn glows(&self) -> bool {
         self.glows
     }
 
-    /// The media at a point, without those inside closed objects.
+    /// Iterates over the media at a point, without those inside closed objects.
     fn at(&self, point: Vec3A) -> impl Iterator<Item = &KernelMedium> {
         let holds = move |bounds: &Bounds| match bounds {
             Bounds::Everywhere => true,
@@ -229,17 +230,17 @@ impl Media {
         self.regions.iter().filter(move |(_, bounds)| holds(bounds)).map(|&(m, _)| self.medium(m))
     }
 
-    /// Extinction at a point, 1/m, by luminance. Media inside closed objects do not count.
+    /// Returns the extinction at a point, 1/m, by luminance. Media inside closed objects do not count.
     pub fn extinction_at(&self, point: Vec3A) -> f32 {
         self.at(point).map(|medium| luminance(medium.sigma_t) * medium.density(point.z)).sum()
     }
 
-    /// The same by channel.
+    /// Returns the extinction at a point by channel, 1/m. Media inside closed objects do not count.
     pub fn extinction_color_at(&self, point: Vec3A) -> Rgb {
         self.at(point).map(|medium| medium.sigma_t * medium.density(point.z)).sum()
     }
 
-    /// Extinction where all media together are gray and the same everywhere, 1/m. Media inside closed objects do not count.
+    /// Returns the extinction if all media together are gray and uniform everywhere, 1/m. Media inside closed objects do not count.
     pub fn even_extinction(&self) -> Option<f32> {
         let even = |(medium, bounds): &(u16, Bounds)| {
             let it = self.medium(*medium);
@@ -249,13 +250,13 @@ impl Media {
         self.regions.iter().map(even).sum()
     }
 
-    /// Scattering coefficient at a point, 1/m. Media inside closed objects do not count.
+    /// Returns the scattering coefficient at a point, 1/m. Media inside closed objects do not count.
     pub fn scattering_at(&self, point: Vec3A) -> Rgb {
         self.at(point).map(|medium| medium.sigma_s * medium.density(point.z)).sum()
     }
 
-    /// A box around all that scatters of the media outside of closed objects, if anything does.
-    /// - `around`: what a medium that is everywhere is taken around, prepared frame, m.
+    /// Returns bounds of the scattering media outside closed objects, if there are any.
+    /// - `around`: bounds assumed for a medium that is everywhere, prepared frame, m.
     pub fn scattering_bounds(&self, around: Aabb) -> Option<Aabb> {
         let part = |(medium, bounds): &(u16, Bounds)| {
             let medium = self.medium(*medium);
@@ -269,7 +270,7 @@ impl Media {
         self.regions.iter().filter_map(part).reduce(Aabb::union)
     }
 
-    /// The medium of an index.
+    /// Returns the medium of an index.
     pub fn medium(&self, index: u16) -> &KernelMedium {
         &self.media[usize::from(index)]
     }
@@ -303,7 +304,7 @@ impl Media {
         if let [(a, region, _), (b, ..)] = out.crossings[..]
             && out.present.is_empty()
         {
-            // One box and nothing else: by far the most common case.
+            // A single box and nothing else is by far the most common case.
             out.present.push(self.regions[region as usize].0);
             self.close(a, b, out);
             return true;
@@ -359,7 +360,7 @@ impl Media {
         out.intervals.push(interval);
     }
 
-    /// Optical depth of [a, b] within `interval`: (all extinction, extinction that distances are drawn by).
+    /// Returns the optical depth of [a, b] within `interval`: (all extinction, extinction by which distances are sampled).
     fn depth(&self, ray: &MediaRay, interval: &Interval, a: f32, b: f32) -> (Rgb, Rgb) {
         let mut all = interval.sigma_t * (b - a);
         let mut drawn = interval.drawn * (b - a);
@@ -378,7 +379,7 @@ impl Media {
         (all, drawn)
     }
 
-    /// (scattering coefficient, drawn extinction) at `t`.
+    /// Returns (scattering coefficient, extinction by which distances are sampled) at `t`.
     fn coefficients(&self, ray: &MediaRay, interval: &Interval, t: f32) -> (Rgb, Rgb) {
         let (mut scatter, mut drawn) = (interval.sigma_s, interval.drawn);
         if interval.varies {
@@ -394,7 +395,7 @@ impl Media {
         (scatter, drawn)
     }
 
-    /// Transmittance of the whole cut.
+    /// Returns the transmittance of all intervals.
     pub fn transmittance(&self, ray: &MediaRay) -> Rgb {
         let mut depth = Rgb::ZERO;
         for interval in &ray.intervals {
@@ -403,7 +404,7 @@ impl Media {
         attenuate(depth)
     }
 
-    /// The part of the ray on which something scatters: (first, last) distance, m.
+    /// Returns the range of the ray in which something scatters: (first, last) distance, m.
     pub fn scattering_range(&self, ray: &MediaRay) -> Option<(f32, f32)> {
         let mut range: Option<(f32, f32)> = None;
         for interval in &ray.intervals {
@@ -414,8 +415,8 @@ impl Media {
         range
     }
 
-    /// What the choice of a light wants to know of the fog on a ray: mean extinction of the stretch `range`, 1/m, and Schlick's
-    /// parameter for the phase function of the medium that scatters most. Both are rough.
+    /// Returns the properties of the fog on a ray that the choice of a light uses: mean extinction of the segment `range`, 1/m, and
+    /// Schlick's parameter for the phase function of the medium that scatters most. Both are approximate.
     pub fn character(&self, ray: &MediaRay, range: (f32, f32)) -> (f32, f32) {
         let Some(interval) = ray.intervals.iter().find(|it| it.varies || it.drawn.max_element() > 0.0) else {
             return (0.0, 0.0);
@@ -433,7 +434,7 @@ impl Media {
         (luminance(self.depth(ray, interval, interval.start, end).0) / length, phase)
     }
 
-    /// The same at an event.
+    /// Returns extinction and Schlick's parameter like [`Self::character`], at an event.
     pub fn character_at(&self, ray: &MediaRay, event: &Event) -> (f32, f32) {
         let interval = &ray.intervals[event.interval as usize];
         let z = ray.oz + ray.dz * event.t;
@@ -442,7 +443,8 @@ impl Media {
         (extinction.sum(), self.medium(self.medium_of(ray, event)).phase.schlick_parameter())
     }
 
-    /// Optical depth from the ray's start and scattering coefficient (1/m), by luminance, at some distances in ascending order.
+    /// Returns the optical depth from the ray's start and the scattering coefficient (1/m), by luminance, at distances in ascending
+    /// order.
     pub fn along_ray(&self, ray: &MediaRay, distances: &[f32; 8]) -> ([f32; 8], [f32; 8]) {
         if let [interval] = &ray.intervals[..]
             && !interval.varies
@@ -467,8 +469,9 @@ impl Media {
         (depths, scattering)
     }
 
-    /// The event at a distance that was drawn by other means, `pdf` the density (1/m) that [`Media::draw`] gives it.
-    /// `weight` is transmittance times scattering coefficient, NOT divided by a density. `None` where nothing scatters.
+    /// Returns the event at a distance that was sampled by other means. `pdf` is the density (1/m) with which [`Media::draw`]
+    /// samples it. `weight` is transmittance times scattering coefficient, NOT divided by a density. Returns `None` where nothing
+    /// scatters.
     pub fn event_at(&self, ray: &MediaRay, t: f32) -> Option<Event> {
         let (mut all, mut drawn) = (Rgb::ZERO, Rgb::ZERO);
         for (index, interval) in ray.intervals.iter().enumerate() {
@@ -495,11 +498,11 @@ impl Media {
         None
     }
 
-    /// Draws a distance proportional to extinction times transmittance. `u` in [0, 1); `channel` in [0, 1) picks the colour
-    /// channel where the media are coloured.
+    /// Samples a distance in proportion to extinction times transmittance. `u` is in [0, 1). `channel` in [0, 1) selects the color
+    /// channel for colored media.
     pub fn draw(&self, ray: &MediaRay, u: f64, channel: f32) -> Distance {
         let axis = ((channel * 3.0) as usize).min(2);
-        // Each half by the function that is accurate there in single precision.
+        // Each half uses the function that is accurate there in single precision.
         let target = if u < 0.5 { -ln_1p(-u as f32) } else { -ln((1.0 - u) as f32) };
         let (mut all, mut drawn) = (Rgb::ZERO, Rgb::ZERO);
         for (index, interval) in ray.intervals.iter().enumerate() {
@@ -531,10 +534,10 @@ impl Media {
         Distance::Through { weight: attenuate(all) / probability }
     }
 
-    /// The distance in `interval` at which the drawn optical depth of one channel reaches `target` (which it does).
+    /// Returns the distance in `interval` at which the sampled optical depth of one channel reaches `target`. It must be reached.
     fn invert(&self, ray: &MediaRay, interval: &Interval, axis: usize, target: f32) -> f32 {
         let (mut low, mut high) = (interval.start, interval.end);
-        // Bring an endless interval to a finite bracket first; then safeguarded Newton steps.
+        // First find a finite bracket, because the interval may be endless; then use safeguarded Newton steps.
         let mut step = 1.0f32;
         while high - low > step && self.depth(ray, interval, interval.start, low + step).1[axis] < target {
             step *= 4.0;
@@ -559,8 +562,8 @@ impl Media {
         t
     }
 
-    /// Radiance that glowing media send to the ray's origin. Exact over uniform media; one point, drawn by `u`, on each
-    /// interval whose glow varies with height.
+    /// Returns the radiance that glowing media send to the ray's origin. It is exact for uniform media. On each interval whose glow
+    /// varies with height, it uses one point, sampled with `u`.
     pub fn glow(&self, ray: &MediaRay, u: f32) -> Rgb {
         let mut radiance = Rgb::ZERO;
         let mut passed = Rgb::ZERO;
@@ -586,7 +589,7 @@ impl Media {
         if !ray.active_of(interval).iter().any(|&m| self.medium(m).glow.max_element() > 0.0) {
             return Rgb::ZERO;
         }
-        // A point with density proportional to 1 / (1 + s)^2 over the interval, s in metres: finite on endless rays.
+        // A point with density proportional to 1 / (1 + s)^2 over the interval, s in meters: finite on endless rays.
         let length = interval.end - interval.start;
         let top = length / (1.0 + length);
         let x = u * top;
@@ -603,7 +606,7 @@ impl Media {
         glow * attenuate(self.depth(ray, interval, interval.start, t).0) / pdf
     }
 
-    /// The phase function at an event: one of the media present, drawn in proportion to its scattering by `u`.
+    /// Returns the phase function at an event: that of one of the media present, sampled with `u` in proportion to its scattering.
     /// Evaluate the mixture with [`Media::phase`].
     pub fn draw_phase(&self, ray: &MediaRay, event: &Event, u: f32) -> &Phase {
         let interval = &ray.intervals[event.interval as usize];
@@ -628,7 +631,7 @@ impl Media {
         &self.medium(chosen).phase
     }
 
-    /// The medium that scatters most at an event.
+    /// Returns the medium that scatters most at an event.
     pub fn medium_of(&self, ray: &MediaRay, event: &Event) -> u16 {
         let active = ray.active_of(&ray.intervals[event.interval as usize]);
         let z = ray.oz + ray.dz * event.t;
@@ -636,7 +639,7 @@ impl Media {
         active.iter().copied().max_by(most).unwrap_or(0)
     }
 
-    /// The first medium on a ray that glows.
+    /// Returns the first medium on a ray that glows.
     pub fn glowing(&self, ray: &MediaRay) -> u16 {
         let glows = |medium: &&u16| self.medium(**medium).glow.max_element() > 0.0;
         ray.active.iter().find(glows).copied().unwrap_or(0)
@@ -647,8 +650,8 @@ impl Media {
         medium.sigma_s.element_sum() * medium.density(z)
     }
 
-    /// Phase function of the mixture at an event, 1/sr: its value by colour channel (for coloured media that differ in their
-    /// phase functions) and the density of [`Media::draw_phase`] followed by sampling what it returns.
+    /// Returns the phase function of the mixture at an event, 1/sr: its value by color channel (colored media may differ in their
+    /// phase functions), and the density of [`Media::draw_phase`] followed by sampling of the returned phase function.
     pub fn phase(&self, ray: &MediaRay, event: &Event, wo: Vec3A, wi: Vec3A) -> (Rgb, f32) {
         let interval = &ray.intervals[event.interval as usize];
         let active = ray.active_of(interval);
@@ -688,7 +691,7 @@ fn mean(c: Rgb) -> f32 {
     (c.x + c.y + c.z) * (1.0 / 3.0)
 }
 
-/// `exp(-depth)` per channel; one exponential where the channels agree.
+/// Returns `exp(-depth)` per channel, with one exponential if the channels are equal.
 #[inline]
 fn attenuate(depth: Rgb) -> Rgb {
     if depth.x == depth.y && depth.y == depth.z {
@@ -697,7 +700,7 @@ fn attenuate(depth: Rgb) -> Rgb {
     Rgb::new(exp(-depth.x), exp(-depth.y), exp(-depth.z))
 }
 
-/// The part of the ray in the box, clipped to [0, t_max].
+/// Returns the range of the ray in the box, clipped to [0, t_max].
 fn slab(to_local: &Affine3A, origin: Vec3A, dir: Vec3A, min: Vec3A, max: Vec3A, t_max: f32) -> Option<(f32, f32)> {
     let o = to_local.transform_point3a(origin);
     let d = to_local.transform_vector3a(dir);

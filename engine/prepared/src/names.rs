@@ -1,45 +1,45 @@
-//! How the description calls what the kernels know by numbers.
+//! Names in the description for the numbers that the kernels use.
 
 use crate::compile::{Emitter, EmitterShape};
 use crate::frame::Prepared;
 use femc_math::glam::Vec3A;
 use femc_scene::{LampKind, Location, ObjectId};
 
-/// A lamp as `femc check` names it.
+/// A lamp in the terms of `femc check`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LampName {
-    /// What emits.
+    /// Kind of lamp.
     pub kind: LampKind,
-    /// Dotted name of the innermost object that holds it; empty: none does.
+    /// Dotted name of the innermost object that contains it; empty if there is none.
     pub object: String,
-    /// Where the file has it.
+    /// Location in the file.
     pub location: Location,
 }
 
 impl Prepared {
-    /// The innermost object that holds a primitive of an instance.
+    /// Returns the innermost object that contains a primitive of an instance.
     pub fn object_of(&self, instance: u32, primitive: u32) -> Option<ObjectId> {
         let objects = &self.instances[instance as usize].compiled.objects;
         let next = objects.partition_point(|(first, _)| *first <= primitive);
         next.checked_sub(1).and_then(|at| objects[at].1)
     }
 
-    /// Dotted name of an object; empty for none.
+    /// Returns the dotted name of an object; empty for none.
     pub fn object_name(&self, object: Option<ObjectId>) -> &str {
         object.and_then(|object| self.scene.objects.get(object.index())).map_or("", |object| &object.name)
     }
 
-    /// Name of a material; empty for the unnamed one, and for the black body behind the opening of a luminaire.
+    /// Returns the name of a material; empty for the unnamed material, and for the black body behind the opening of a luminaire.
     pub fn material_name(&self, material: u32) -> &str {
         self.scene.materials.get(material as usize).map_or("", |material| &material.name)
     }
 
-    /// Name of a medium.
+    /// Returns the name of a medium.
     pub fn medium_name(&self, medium: u16) -> &str {
         self.scene.media.get(usize::from(medium)).map_or("", |medium| &medium.name)
     }
 
-    /// Name and place of a light.
+    /// Returns name and location of a light.
     pub fn lamp_name(&self, light: u32) -> LampName {
         let Emitter { ref shape, material, object, location } = *self.emitter(light);
         let kind = match shape {
@@ -58,7 +58,7 @@ impl Prepared {
         &instance.compiled.emitters[(light - instance.first_light) as usize]
     }
 
-    /// A point of the prepared frame in the world, m.
+    /// Converts a point of the prepared frame to the world, m.
     pub fn in_world(&self, point: Vec3A) -> [f64; 3] {
         (self.origin + point.as_dvec3()).to_array()
     }

@@ -1,7 +1,7 @@
-//! Where what a frame shows is in the next frame of the clip, and where that frame's camera sees it.
+//! Motion vectors: the position on the next frame's film of a point that a frame shows.
 //!
-//! A point stays on its surface: it is carried by the motions of the group that it is part of, and taken at the same time of the next
-//! shutter through the same point of the lens. So a point that moves with the camera has no motion, whatever blurs it.
+//! A point stays on its surface: the motions of its group carry it. It is projected at the same time of the next shutter, through
+//! the same point of the lens. So a point that moves with the camera has no motion, even if it is blurred.
 
 use crate::camera::{KernelCamera, View};
 use crate::compile::NONE;
@@ -9,19 +9,19 @@ use crate::frame::{FrameSpec, PrepareError, Prepared, Sight, find_camera, kernel
 use femc_geometry::{InstanceInput, World};
 use femc_math::glam::Vec3A;
 
-/// The next frame, as far as the surfaces of this one go.
+/// The next frame, for the surfaces of this one.
 #[derive(Clone, Debug)]
 pub struct NextFrame {
     camera: KernelCamera,
-    /// The instances that move over the clip.
+    /// Instances that move during the clip.
     moving: World,
-    /// By instance of the frame: its index in `moving`, or `NONE`.
+    /// Index in `moving`, or `NONE`, for each instance of the frame.
     index: Vec<u32>,
 }
 
 impl NextFrame {
-    /// What comes after a frame; `None`: it is the last of its clip, or a still.
-    /// - `spec`: what the frame was prepared by.
+    /// Returns the frame after a frame; `None` if it is the last of its clip, or a still.
+    /// - `spec`: specification with which the frame was prepared.
     pub fn of(prepared: &Prepared, spec: &FrameSpec) -> Result<Option<Self>, PrepareError> {
         let scene = &prepared.scene;
         let frame = prepared.frame + 1;
@@ -46,10 +46,10 @@ impl NextFrame {
         Ok(Some(Self { camera, moving: World::build(inputs), index }))
     }
 
-    /// From where a point is on the film to where it will be, pixels, x to the right and y down; `None`: the next camera does not have it
-    /// in front.
+    /// Returns the motion of a point on the film from this frame to the next, pixels, x to the right and y down; `None` if the
+    /// point is not in front of the next camera.
     /// - `position`: on the surface of an instance, prepared frame; `time`: of the shutter;
-    /// - `view`: of the camera now, through the point `lens` of the lens at that time.
+    /// - `view`: of the current camera, through the point `lens` of the lens at that time.
     pub fn motion(
         &self,
         prepared: &Prepared,

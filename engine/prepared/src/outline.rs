@@ -1,9 +1,9 @@
 //! Convex polygons on the film, pixels.
 
-/// Most corners of a polygon: four, and one for each side of a rectangle that it is cut by.
+/// Maximum number of corners of a polygon: four, and one for each side of a clipping rectangle.
 const MOST: usize = 8;
 
-/// A convex polygon, in either order of its corners.
+/// A convex polygon with either orientation.
 #[derive(Clone, Copy, Debug)]
 pub struct Outline {
     corners: [[f32; 2]; MOST],
@@ -11,6 +11,7 @@ pub struct Outline {
 }
 
 impl Outline {
+    /// Creates a polygon.
     /// - `corners`: at most four.
     pub(crate) fn new(corners: &[[f32; 2]]) -> Self {
         let mut outline = Self { corners: [[0.0; 2]; MOST], count: corners.len().min(4) };
@@ -18,13 +19,13 @@ impl Outline {
         outline
     }
 
-    /// The corners.
+    /// Returns the corners.
     pub(crate) fn corners(&self) -> &[[f32; 2]] {
         &self.corners[..self.count]
     }
 
-    /// The part within a rectangle (\[sutherland1974\]).
-    /// - `self`: of at most four corners.
+    /// Returns the part within a rectangle (\[sutherland1974\]).
+    /// - `self`: a polygon of at most four corners.
     #[inline]
     pub fn within(&self, low: [f32; 2], high: [f32; 2]) -> Self {
         let mut rest = *self;
@@ -34,7 +35,7 @@ impl Outline {
         rest
     }
 
-    /// The part whose coordinate times `sign` is at least `least`.
+    /// Returns the part whose coordinate times `sign` is at least `least`.
     #[inline]
     fn beyond(&self, axis: usize, sign: f32, least: f32) -> Self {
         let mut part = Self { corners: [[0.0; 2]; MOST], count: 0 };
@@ -60,20 +61,20 @@ impl Outline {
         part
     }
 
-    /// Twice the signed area of the triangle of the first corner and the side from corner `at`.
+    /// Returns twice the signed area of the triangle of the first corner and the side from corner `at`.
     #[inline]
     fn twice(&self, at: usize) -> f32 {
         let [o, a, b] = [self.corners[0], self.corners[at], self.corners[at + 1]];
         (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0])
     }
 
-    /// Pixels2.
+    /// Returns the area, pixels2.
     #[inline]
     pub fn area(&self) -> f32 {
         (1..self.count.max(2) - 1).map(|at| 0.5 * self.twice(at)).sum::<f32>().abs()
     }
 
-    /// A point, uniform over the area, of `u` in [0, 1)^2; `None` without area.
+    /// Returns a point that is uniform over the area for `u` in [0, 1)^2; `None` without area.
     #[inline]
     pub fn sample(&self, u: [f32; 2]) -> Option<[f32; 2]> {
         let area = self.area();
@@ -90,7 +91,7 @@ impl Outline {
         None
     }
 
-    /// Whether a point is in it, or on its border.
+    /// Returns whether a point is inside or on the border.
     #[inline]
     pub fn contains(&self, point: [f32; 2]) -> bool {
         let side = |at: usize| {

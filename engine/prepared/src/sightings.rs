@@ -1,13 +1,13 @@
-//! Small light sources, by the pixels that see them.
+//! Lists of small light sources by the pixels that see them.
 //!
-//! A lamp far away may be smaller than a pixel, or fill a part of one: of camera rays that go through random places of the pixel few
-//! meet it, and each of those few counts for all. A path may as well begin by drawing a point on such a lamp. The lists say which
-//! lamps a pixel may see; what is hidden is found out by the shadow ray. Nothing depends on their being complete: who is not listed
-//! is met by chance.
+//! A distant lamp may be smaller than a pixel, or fill only a part of one. Few camera rays through random positions of the pixel
+//! hit it, so each hit has a large weight and the pixel is noisy. Instead, a path may begin by sampling a point on such a lamp. The
+//! lists contain the lamps that a pixel may see; a shadow ray tests whether they are hidden. Correctness does not depend on
+//! complete lists, because camera rays still hit unlisted lamps by chance.
 //!
-//! Of a flat polygon before a camera that stands and has no lens the outline on the film is known: a place is drawn in the part
-//! of it that the pixel's filter reaches, so that the lamp's share of the pixel does not vary at all. Of other lamps a point is
-//! drawn somewhere on the lamp.
+//! For a flat polygon and a stationary pinhole camera, the outline on the film is known. A position is sampled in the part of the
+//! outline that the pixel's filter reaches, so the lamp's share of the pixel has no variance. For other lamps, a point anywhere on
+//! the lamp is sampled.
 
 use crate::camera::KernelCamera;
 use crate::compile::NONE;
@@ -16,26 +16,26 @@ use crate::outline::Outline;
 use femc_math::gamma;
 use femc_math::glam::{BVec3A, Vec3A};
 
-/// Images of lamps without an outline that are larger than this, in pixels, are met by chance.
+/// Maximum image size, in pixels, of listed lamps without an outline. Camera rays hit larger ones by chance.
 const LARGEST: f32 = 8.0;
-/// The same of those with an outline: only pixels at its border are listed.
+/// Maximum image size, in pixels, of listed lamps with an outline. Only pixels at its border are listed.
 const LARGEST_OUTLINE: f32 = 256.0;
-/// Parts of outlines below this area, pixels2, are left to chance.
+/// Minimum area of a part of an outline, pixels2, for which a pixel is listed.
 const LEAST_PART: f32 = 1e-7;
-/// A point whose place on the film is not known this well, in pixels, is not drawn.
+/// Maximum uncertainty of a point's position on the film, in pixels.
 const ACCURACY: f32 = 0.02;
-/// Most entries of all lists, 16 bytes each; the lamps that send most to the camera come first.
+/// Maximum number of entries of all lists, 16 bytes each. The lamps that send most light to the camera come first.
 const MOST: usize = 1 << 22;
 
-/// The lists.
+/// Lists of small lights for all pixels.
 #[derive(Clone, Debug, Default)]
 pub struct Sightings {
-    /// By pixel, then by light.
+    /// Entries, sorted by pixel, then by light.
     entries: Vec<Entry>,
     outlines: Vec<Outline>,
-    /// Of the pixel filter, pixels.
+    /// Radius of the pixel filter, pixels.
     radius: f32,
-    /// A bit for each pixel: whether it has a list.
+    /// One bit per pixel: whether it has a list.
     has_list: Vec<u64>,
 }
 
@@ -43,41 +43,42 @@ pub struct Sightings {
 struct Entry {
     pixel: u32,
     light: u32,
-    /// Share of the pixel's lights up to this one.
+    /// Cumulative share of the pixel's lights up to and including this one.
     up_to: f32,
     /// Number of its outline, or `NONE`.
     outline: u32,
 }
 
-/// The lights of one pixel.
+/// Lights of one pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen<'a> {
     entries: &'a [Entry],
     all: &'a Sightings,
 }
 
-/// A light that was chosen.
+/// A chosen light.
 #[derive(Clone, Copy, Debug)]
 pub struct Choice {
-    /// Its number.
+    /// Index of the light.
     pub light: u32,
     /// Probability of the choice.
     pub probability: f32,
-    /// The part of its outline that the pixel's filter reaches, on the film; `None`: a point is to be drawn on the light.
+    /// Part of the light's outline on the film that the pixel's filter reaches. `None` means that a point on the light must be
+    /// sampled.
     pub part: Option<Outline>,
 }
 
-/// Where the image of a light is.
+/// Image of a light on the film.
 struct Image {
     low: [f32; 2],
     high: [f32; 2],
-    /// What the light sends to the camera, at most, lm/m2.
+    /// Maximum light that the lamp sends to the camera, lm/m2.
     strength: f32,
     outline: Option<Outline>,
 }
 
 impl Sightings {
-    /// Of the `lights` that `camera` may see; `radius`: of the pixel filter, pixels.
+    /// Lists the `lights` that `camera` may see. `radius`: radius of the pixel filter, pixels.
     pub(crate) fn new(camera: &KernelCamera, lights: &Lights, radius: f32) -> Self {
         let image = |light| outlined(camera, lights, light).or_else(|| image(camera, lights, light));
         let mut images: Vec<(u32, Image)> = (0..lights.len() as u32)
@@ -122,7 +123,7 @@ impl Sightings {
         self.outlines.extend(image.outline);
     }
 
-    /// Makes shares of the strengths of each pixel's lights.
+    /// Converts the strengths of each pixel's lights to cumulative shares.
     fn share_out(&mut self, film: [u32; 2]) {
         self.entries.sort_by_key(|entry| (entry.pixel, entry.light));
         let pixels = film[0] as usize * film[1] as usize;
@@ -142,7 +143,7 @@ impl Sightings {
         }
     }
 
-    /// The lights that a pixel (row-major index in the whole film) may see; `None`: no small ones.
+    /// Returns the lights that a pixel (row-major index in the whole film) may see; `None` if there are no small ones.
     #[inline]
     pub fn of(&self, pixel: u32) -> Option<Seen<'_>> {
         let word = self.has_list.get(pixel as usize / 64)?;
@@ -156,15 +157,15 @@ impl Sightings {
 }
 
 impl Seen<'_> {
-    /// A light by `u` in [0, 1).
-    /// - `center`: of the pixel, on the film.
+    /// Chooses a light with `u` in [0, 1).
+    /// - `center`: center of the pixel, on the film.
     #[inline]
     pub fn choose(self, u: f32, center: [f32; 2]) -> Choice {
         let at = self.entries[..self.entries.len() - 1].partition_point(|entry| entry.up_to <= u);
         self.choice(at, center)
     }
 
-    /// The choice of a light; `None` of others.
+    /// Returns the choice of a given light; `None` if it is not listed.
     #[inline]
     pub fn find(self, light: u32, center: [f32; 2]) -> Option<Choice> {
         self.entries.binary_search_by_key(&light, |entry| entry.light).ok().map(|at| self.choice(at, center))
@@ -179,14 +180,14 @@ impl Seen<'_> {
     }
 }
 
-/// The part of an outline that the filter of a pixel reaches.
+/// Returns the part of an outline that the filter of a pixel reaches.
 #[inline]
 fn reached(outline: &Outline, center: [f32; 2], radius: f32) -> Outline {
     outline.within(center.map(|x| x - radius), center.map(|x| x + radius))
 }
 
-/// The outline of a flat polygon that stands, before a camera that stands and has no lens; `None` of others, and where it is not on
-/// the film, or not wholly in front of the camera.
+/// Returns the outline of a stationary flat polygon for a stationary pinhole camera. Returns `None` for other lights and cameras,
+/// and if the polygon is off the film, too large, or not wholly in front of the camera.
 fn outlined(camera: &KernelCamera, lights: &Lights, light: u32) -> Option<Image> {
     let (corners, view) = (lights.corners(light), camera.pinhole()?);
     let places: Option<Vec<[f32; 2]>> = corners.iter().map(|&it| view.project(it).map(|(place, _)| place)).collect();
@@ -202,7 +203,7 @@ fn outlined(camera: &KernelCamera, lights: &Lights, light: u32) -> Option<Image>
     is_seen.then_some(Image { low, high, strength, outline: Some(outline) })
 }
 
-/// Where a light is seen over the shutter; `None` where that is not on the film, too large, too near or too uncertain.
+/// Returns the image of a light over the shutter; `None` if it is off the film, too large, too near or too uncertain.
 fn image(camera: &KernelCamera, lights: &Lights, light: u32) -> Option<Image> {
     let (bounds, power) = (lights.bounds(light), lights.power(light));
     let (mut low, mut high, mut near) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2], f32::INFINITY);
@@ -213,7 +214,7 @@ fn image(camera: &KernelCamera, lights: &Lights, light: u32) -> Option<Image> {
             let blur = camera.blur(depth);
             let distance = (corner - view.origin).length();
             near = near.min(distance);
-            // Rounding of coordinates, as an angle, in pixels.
+            // Rounding of coordinates, as an angle.
             let rounding = (corner.abs() + view.origin.abs()).max_element() * gamma(4) / distance;
             if rounding > ACCURACY * view.solid_angle(place).sqrt() {
                 return None;

@@ -2,8 +2,7 @@ use femc_math::glam::{BVec3, DVec3};
 use femc_scene::{Scene, SelectorError, StaticDigest};
 use std::sync::Arc;
 
-/// A scene to prepare frames of, which knows what it has in common with its variants: frames of one share with frames of
-/// another whatever is equal.
+/// A scene from which frames are prepared. It tracks what it shares with its variants, so that their frames share all equal data.
 #[derive(Clone, Debug)]
 pub struct Source {
     scene: Arc<Scene>,
@@ -11,20 +10,20 @@ pub struct Source {
     middle: Option<DVec3>,
 }
 
-/// Cameras no farther than this from the scene's middle along any axis have their frames' origin there, m: what is that far
-/// from an origin is known to 4 um.
+/// Maximum distance along any axis, m, from the scene's middle to a camera whose frames have their origin there. At that distance
+/// from an origin, positions are accurate to 4 um.
 const NEAR: f64 = 128.0;
-/// Grid of the origins of other cameras, m: what is near one is known to 1 um.
+/// Grid of the origins of other cameras, m. Near an origin, positions are accurate to 1 um.
 const GRID: f64 = 32.0;
 
 impl Source {
-    /// A scene; reads all of it once, for its digest.
+    /// Creates the source of a scene. Reads the whole scene once, for its digest.
     pub fn new(scene: Arc<Scene>) -> Self {
         let (static_digest, middle) = (scene.static_digest(), middle(&scene));
         Self { scene, static_digest, middle }
     }
 
-    /// The same with scalars set, in order. Selectors reach nothing of what the digest is of.
+    /// Returns a variant with scalars set, in order. Selectors do not reach anything that the static digest covers.
     pub fn variant<S: AsRef<str>>(&self, values: &[(S, f64)]) -> Result<Self, SelectorError> {
         let mut scene = Scene::clone(&self.scene);
         for (selector, value) in values {
@@ -33,25 +32,25 @@ impl Source {
         Ok(Self { scene: Arc::new(scene), ..*self })
     }
 
-    /// The scene.
+    /// Returns the scene.
     pub fn scene(&self) -> &Arc<Scene> {
         &self.scene
     }
 
-    /// Digest of what all variants have in common.
+    /// Returns the digest of everything that all variants share.
     pub fn static_digest(&self) -> StaticDigest {
         self.static_digest
     }
 
-    /// Where frames have their origin that a camera at `place` sees, m: in the scene's middle if that is near, so that the
-    /// frames of all cameras there share the world.
+    /// Returns the origin of frames for a camera at `place`, m. It is the scene's middle if that is near, so that the frames of all
+    /// cameras there share the world.
     pub fn origin(&self, place: DVec3) -> DVec3 {
         let near = self.middle.filter(|middle| (place - middle).abs().max_element() <= NEAR);
         near.unwrap_or_else(|| (place / GRID).round() * GRID)
     }
 }
 
-/// The middle of all that does not move, in whole metres; `None` where there is nothing.
+/// Returns the middle of everything that does not move, in whole meters; `None` if there is nothing.
 fn middle(scene: &Scene) -> Option<DVec3> {
     let mut boxes = vec![None; scene.groups.len()];
     let (min, max) = bounds(scene, 0, &mut boxes);
@@ -60,7 +59,7 @@ fn middle(scene: &Scene) -> Option<DVec3> {
 
 type Bounds = (DVec3, DVec3);
 
-/// Of a group's own places and of the groups that are placed in it and do not move; `boxes`: those that are known.
+/// Returns the bounds of a group's own points and of the groups that are placed in it and do not move. `boxes`: known bounds.
 fn bounds(scene: &Scene, group: usize, boxes: &mut [Option<Bounds>]) -> Bounds {
     if let Some(known) = boxes[group] {
         return known;

@@ -1,4 +1,4 @@
-//! From a hit to a point to shade.
+//! Conversion of a hit to a surface point for shading.
 
 use crate::compile::NONE;
 use crate::frame::Prepared;
@@ -11,7 +11,7 @@ use femc_math::glam::{Vec2, Vec3, Vec3A};
 pub struct SurfacePoint {
     /// Position, m.
     pub position: Vec3A,
-    /// Absolute bound of its error per axis, m.
+    /// Absolute error bound of the position per axis, m.
     pub error: Vec3A,
     /// Geometric normal, unit, on the front side.
     pub normal: Vec3A,
@@ -28,7 +28,7 @@ pub struct SurfacePoint {
 }
 
 impl Prepared {
-    /// The surface point of a hit.
+    /// Returns the surface point of a hit.
     #[inline]
     pub fn surface(&self, ray: &Ray, hit: &Hit) -> SurfacePoint {
         let geometry = self.world.interaction(ray, hit);
@@ -58,7 +58,7 @@ impl Prepared {
         let b = [1.0 - hit.u - hit.v, hit.u, hit.v];
         point.uv = corners.uv[0] * b[0] + corners.uv[1] * b[1] + corners.uv[2] * b[2];
         let local = corners.normals[0] * b[0] + corners.normals[1] * b[1] + corners.normals[2] * b[2];
-        // Poses are similarities without mirror, so directions map by the matrix itself.
+        // Poses are similarities that do not mirror, so the matrix itself maps directions.
         let pose = self.world.pose_at(hit.instance, ray.time);
         if local != Vec3::ZERO {
             let mapped = pose.transform_vector3a(local.into()).normalize_or_zero();
@@ -77,7 +77,7 @@ impl Prepared {
         }
     }
 
-    /// Direction of growing u on the hit triangle, group's frame.
+    /// Returns the direction of increasing u on the hit triangle, group's frame.
     fn tangent(&self, hit: &Hit, uv: [Vec2; 3]) -> Option<Vec3A> {
         let [a, b, c] = self.instances[hit.instance as usize].compiled.blas.triangle(hit.primitive)?;
         let (e1, e2) = (b - a, c - a);

@@ -1,10 +1,10 @@
-//! Image textures: bilinear look-up, repeated over the plane.
+//! Image textures: bilinear lookup, repeated over the plane.
 
 use femc_math::Rgb;
 use femc_math::glam::Vec2;
 use std::sync::Arc;
 
-/// A texture; v points up, row 0 of the image is on top.
+/// A texture. v points up; row 0 of the image is at the top.
 #[derive(Clone, Debug)]
 pub struct Texture {
     width: u32,
@@ -14,7 +14,7 @@ pub struct Texture {
 }
 
 impl Texture {
-    /// A texture of an image's pixels; a 1 x 1 white one where the image is empty.
+    /// Creates a texture from an image's pixels; an empty image gives a white 1 x 1 texture.
     pub fn new(image: &femc_scene::Image) -> Self {
         let expected = image.width as usize * image.height as usize;
         if expected == 0 || image.pixels.len() != expected {
@@ -25,7 +25,7 @@ impl Texture {
         Self { width: image.width, height: image.height, pixels: Arc::new(pixels), brightest }
     }
 
-    /// Greatest value of a channel.
+    /// Returns the greatest value of a channel.
     pub fn brightest(&self) -> f32 {
         self.brightest
     }
@@ -35,7 +35,7 @@ impl Texture {
         self.pixels[(y * i64::from(self.width) + x) as usize]
     }
 
-    /// Value at `uv`, bilinear between texel centers.
+    /// Returns the value at `uv`, bilinear between texel centers.
     pub fn lookup(&self, uv: Vec2) -> Rgb {
         let x = uv.x * self.width as f32 - 0.5;
         let y = (1.0 - uv.y) * self.height as f32 - 0.5;

@@ -1,19 +1,19 @@
-//! Emitting surfaces that a scene has twice: rays meet one of them, so that light is drawn from one.
+//! Detection of duplicate emitting surfaces. Rays hit only one of them, so light must be sampled from only one.
 //!
-//! Twins have the same material and the same corners, or the same shape, as the tracer rounds them. Faces that overlap in one plane
-//! without having the same corners are no twins: light is drawn from both, though rays meet one.
+//! Twins have the same material and the same corners, or the same shape, after the tracer's rounding. Faces that overlap in one
+//! plane but have different corners are not twins: light is sampled from both, though rays hit only one.
 
 use femc_geometry::Quadric;
 use femc_math::glam::Vec3A;
 use femc_scene::Sides;
 use std::collections::BTreeMap;
 
-/// The emitters of a group by what rays meet.
+/// Emitters of a group, by material and surface.
 #[derive(Debug, Default)]
 pub struct Twins(BTreeMap<(u32, Vec<u32>), u32>);
 
 impl Twins {
-    /// The emitter of this surface: the one that a twin had, or `fresh`, which it is known by from now on.
+    /// Returns the emitter of this surface: that of an earlier twin, or else `fresh`, which is registered for it.
     pub fn emitter(&mut self, material: u32, surface: Vec<u32>, fresh: u32) -> u32 {
         *self.0.entry((material, surface)).or_insert(fresh)
     }
@@ -24,8 +24,8 @@ fn bits(p: Vec3A) -> [u32; 3] {
     p.to_array().map(|x| (x + 0.0).to_bits())
 }
 
-/// A flat surface by its corners in any order; one-sided ones by their front, too.
-/// - `normal`: of the front, of any length.
+/// Returns the key of a flat surface: its corners in any order, and the front of a one-sided surface.
+/// - `normal`: normal of the front, of any length.
 pub fn flat(corners: &[Vec3A], normal: Vec3A, sides: Sides) -> Vec<u32> {
     let mut sorted: Vec<[u32; 3]> = corners.iter().map(|&p| bits(p)).collect();
     sorted.sort_unstable();
@@ -37,7 +37,7 @@ pub fn flat(corners: &[Vec3A], normal: Vec3A, sides: Sides) -> Vec<u32> {
     sorted.into_iter().flatten().chain([front]).collect()
 }
 
-/// A curved surface by its parameters; one-sided ones by their front, too.
+/// Returns the key of a curved surface: its parameters, and the front of a one-sided surface.
 pub fn curved(shape: &Quadric, sides: Sides) -> Vec<u32> {
     let (kind, points, radii) = match *shape {
         Quadric::Sphere { center, radius, .. } => (0, [center, Vec3A::ZERO], [radius, 0.0]),

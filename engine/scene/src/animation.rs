@@ -1,13 +1,13 @@
-//! Where things are at a time: clips and frames, motion paths, cameras on paths, scalars that vary.
+//! Animation at a given time: clips and frames, motion paths, cameras on paths, scalars that vary.
 //!
-//! Poses are similarities, possibly mirrored, and are interpolated as scale (linear), rotation (slerp on the shorter arc)
-//! and translation (linear or spline). A mirrored pose is taken as the point reflection -1 after a rotation, so that two
-//! mirrored keys interpolate like two plain ones. All of it is plain arithmetic and [`femc_math::elementary`], so every
-//! machine gets the same bits.
+//! Poses are similarities, possibly mirrored. They are interpolated as scale (linear), rotation (slerp on the shorter arc) and
+//! translation (linear or spline). A mirrored pose is treated as a rotation followed by the point reflection -1, so two mirrored
+//! keys interpolate like two unmirrored ones. The code uses only plain arithmetic and [`femc_math::elementary`], so every machine
+//! computes the same bits.
 //!
-//! The spline is the centripetal Catmull-Rom curve of \[yuksel2011\]: knots are apart by the square root of the distance
-//! between keys, and time runs evenly over each segment. It has no loops or cusps; the price is that the speed, though
-//! not the direction, may jump at a key.
+//! The spline is the centripetal Catmull-Rom curve of \[yuksel2011\]: the distance between knots is the square root of the distance
+//! between keys, and time runs evenly over each segment. The curve has no loops or cusps. The price is that the speed, but not the
+//! direction, may jump at a key.
 
 use crate::{
     ObjectId,
@@ -22,19 +22,19 @@ use femc_math::{
 use serde::Serialize;
 
 impl Clip {
-    /// Number of frames: those k = 1, 2, .. whose time is before the end plus half a frame; at least 1.
+    /// Returns the number of frames: of the frames k = 1, 2, .. whose time is before the end plus half a frame; at least 1.
     pub fn frame_count(&self) -> u32 {
         (((self.end - self.start) * self.fps + 0.5).ceil() as u32).max(1)
     }
 
-    /// Time of frame `k` (the first is 1), s.
+    /// Returns the time of frame `k` (the first is 1), s.
     pub fn frame_time(&self, k: u32) -> f64 {
         self.start + (f64::from(k) - 1.0) / self.fps
     }
 }
 
 impl Vary {
-    /// The value at `time` (s): linear between keys, constant outside.
+    /// Returns the value at `time` (s): linear between keys, constant before the first and after the last key.
     pub fn at(&self, time: f64) -> f64 {
         let after = self.keys.partition_point(|key| key.0 <= time);
         match (after.checked_sub(1).map(|i| self.keys[i]), self.keys.get(after)) {
@@ -46,8 +46,8 @@ impl Vary {
 }
 
 impl MotionPath {
-    /// The pose at `time` (s); the first key's before it, the last key's after it, the identity without keys.
-    /// At a key's time it is that key's pose to the bit.
+    /// Returns the pose at `time` (s). Before the first key this is the first key's pose, after the last key the last key's pose,
+    /// and without keys the identity. At the time of a key it equals the key's pose to the bit.
     pub fn at(&self, time: f64) -> Transform {
         let after = self.keys.partition_point(|key| key.time <= time);
         let Some(before) = after.checked_sub(1) else {
@@ -73,37 +73,38 @@ impl MotionPath {
         .transform()
     }
 
-    /// Whether the pose is the same at all times.
+    /// Returns whether the pose is the same at all times.
     pub fn is_constant(&self) -> bool {
         self.keys.windows(2).all(|pair| pair[0].pose == pair[1].pose)
     }
 
-    /// What it does from one time to another, s: poses at any time in between depend on nothing else.
+    /// Returns the motion between two times, s. Poses at times in between depend on nothing else.
     pub fn between(&self, [from, to]: [f64; 2]) -> Passage<'_> {
         let first = self.keys.partition_point(|key| key.time <= from).saturating_sub(1);
         let end = (self.keys.partition_point(|key| key.time < to) + 1).min(self.keys.len());
         if to <= from || first + 1 >= end || (first..end - 1).all(|segment| self.is_still(segment)) {
             return Passage::Still(self.at(from));
         }
-        // A spline bends towards the keys around.
+        // A spline segment also depends on the keys before and after it.
         let around = usize::from(self.interpolation == Interpolation::Spline);
         let keys = &self.keys[first.saturating_sub(around)..(end + around).min(self.keys.len())];
         Passage::Moving(self.interpolation, keys)
     }
 
-    /// Whether nothing moves in the segment that begins at key `first`: its ends are equal, in a spline too.
+    /// Returns whether nothing moves in the segment that begins at key `first`. This is the case when both ends are equal, for a
+    /// spline too.
     fn is_still(&self, first: usize) -> bool {
         self.keys[first].pose == self.keys[first + 1].pose
     }
 
-    /// Translation at fraction `u` of the segment that begins at key `first`.
+    /// Returns the translation at fraction `u` of the segment that begins at key `first`.
     fn spline(&self, first: usize, u: f64) -> DVec3 {
         let point = |key: &Key| key.pose.translation;
         let (p1, p2) = (point(&self.keys[first]), point(&self.keys[first + 1]));
         if p1 == p2 {
             return p1;
         }
-        // Outside the keys the curve goes on as the reflection of its last segment.
+        // Beyond the first and last key, the curve is extended by reflecting its last segment.
         let before = first.checked_sub(1).map(|i| point(&self.keys[i])).filter(|&p| p != p1);
         let after = self.keys.get(first + 2).map(point).filter(|&p| p != p2);
         let (p0, p3) = (before.unwrap_or(p1 * 2.0 - p2), after.unwrap_or(p2 * 2.0 - p1));
@@ -116,16 +117,16 @@ impl MotionPath {
     }
 }
 
-/// What a path does for a while.
+/// Motion along a path during a time interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub enum Passage<'a> {
-    /// It keeps this pose.
+    /// The path keeps this pose.
     Still(Transform),
-    /// It moves as a path with these keys alone would.
+    /// The path moves like a path that has these keys only.
     Moving(Interpolation, &'a [Key]),
 }
 
-/// A similarity taken apart: `scale * rotation`, then the translation; a negative scale is a mirrored one.
+/// Parts of a similarity: `scale * rotation`, then the translation. A negative scale means mirrored.
 struct Similarity {
     scale: f64,
     rotation: DQuat,
@@ -145,7 +146,7 @@ impl Similarity {
     }
 }
 
-/// Spherical linear interpolation on the shorter arc (\[shoemake1985\]); unit quaternions in and out.
+/// Interpolates linearly on the sphere, on the shorter arc (\[shoemake1985\]). Takes and returns unit quaternions.
 fn slerp(a: DQuat, b: DQuat, u: f64) -> DQuat {
     let b = if a.dot(b) < 0.0 { -b } else { b };
     // Twice the angle between half-sum and half-difference: accurate near 0, where acos is not.
@@ -158,8 +159,8 @@ fn slerp(a: DQuat, b: DQuat, u: f64) -> DQuat {
 }
 
 impl Motion {
-    /// The transform at `time` (s), local points to the parent's frame.
-    /// - `paths`: the scene's, which the steps index; a step along a path that is not there is the identity.
+    /// Returns the transform at `time` (s), from local points to the parent's frame.
+    /// - `paths`: the scene's paths, which the steps index; a step along a missing path is the identity.
     pub fn at(&self, paths: &[MotionPath], time: f64) -> Transform {
         self.steps.iter().fold(Transform::IDENTITY, |done, step| {
             let pose = match step {
@@ -170,7 +171,7 @@ impl Motion {
         })
     }
 
-    /// Whether the transform changes over time.
+    /// Returns whether the transform changes over time.
     pub fn is_animated(&self, paths: &[MotionPath]) -> bool {
         self.steps.iter().any(|step| match step {
             MotionStep::Static(_) => false,
@@ -180,8 +181,8 @@ impl Motion {
 }
 
 impl Camera {
-    /// The camera at `time` (s): its own origin, target and up carried by the pose of its path; world frame.
-    /// Lens and focus stay as they are even where the path scales.
+    /// Returns the camera at `time` (s) in the world frame: its origin, target and up direction are transformed by the pose of its
+    /// path. Lens and focus do not change, even where the path scales.
     pub fn at(&self, paths: &[MotionPath], time: f64) -> Self {
         let mut camera = Self { along: None, ..self.clone() };
         if let Some(path) = self.along.and_then(|path| paths.get(path.index())) {
@@ -193,33 +194,33 @@ impl Camera {
         camera
     }
 
-    /// Whether it moves over time.
+    /// Returns whether the camera moves over time.
     pub fn is_animated(&self, paths: &[MotionPath]) -> bool {
         self.along.and_then(|path| paths.get(path.index())).is_some_and(|path| !path.is_constant())
     }
 }
 
 impl Scene {
-    /// Number of frames of the clip; 1 for a still.
+    /// Returns the number of frames of the clip; 1 for a still.
     pub fn frame_count(&self) -> u32 {
         self.clip.map_or(1, |clip| clip.frame_count())
     }
 
-    /// Time of frame `k` (the first is 1), s; 0 for a still.
+    /// Returns the time of frame `k` (the first is 1), s; 0 for a still.
     pub fn frame_time(&self, k: u32) -> f64 {
         self.clip.map_or(0.0, |clip| clip.frame_time(k))
     }
 
-    /// Times at which the shutter of `camera` opens and closes in frame `k`, s. Both are the frame's time for a still,
-    /// which has no frame interval to take a fraction of.
+    /// Returns the times at which the shutter of `camera` opens and closes in frame `k`, s. For a still, both are the frame's time,
+    /// because there is no frame interval to take a fraction of.
     pub fn shutter(&self, camera: &Camera, k: u32) -> [f64; 2] {
         let (time, interval) = (self.frame_time(k), self.clip.map_or(0.0, |clip| 1.0 / clip.fps));
         [time + camera.shutter_open * interval, time + camera.shutter_close * interval]
     }
 
-    /// For every group: whether what it holds changes over time in the group's own frame, because something placed in it
-    /// (or deeper) moves, or because the `hidden` of an object that it holds varies. What does not change keeps its
-    /// acceleration structure from frame to frame.
+    /// Returns for every group whether its contents change over time in the group's own frame. They change if something placed in
+    /// the group (at any depth) moves, or if `hidden` of an object in it varies. Groups that do not change keep their acceleration
+    /// structure from frame to frame.
     pub fn changing_groups(&self) -> Vec<bool> {
         let blinking = self.blinking_objects();
         let blinks = |object: Option<ObjectId>| object.is_some_and(|object| blinking[object.index()]);
@@ -233,7 +234,7 @@ impl Scene {
                     || group.luminaires.iter().any(|luminaire| blinks(luminaire.object))
             })
             .collect();
-        // The graph has no cycles, so children spread to parents in at most its depth of rounds.
+        // The graph has no cycles, so changes propagate from children to parents in at most as many rounds as its depth.
         loop {
             let mut spread = false;
             for (index, group) in self.groups.iter().enumerate() {
@@ -249,7 +250,7 @@ impl Scene {
         }
     }
 
-    /// For every object: whether a `vary` hides or shows it, or one that encloses it.
+    /// Returns for every object whether a `vary` hides or shows it or an object that encloses it.
     pub fn blinking_objects(&self) -> Vec<bool> {
         let varied: std::collections::BTreeSet<&str> = self
             .varies

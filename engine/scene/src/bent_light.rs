@@ -1,25 +1,27 @@
-//! Light of lamps that meets a clear solid or a mirror before anything scatters it.
+//! Estimate of the lamps' light that reaches a clear solid or a mirror before anything scatters it.
 //!
-//! Shadow rays do not find it: the finite-element first pass has few rays for it, and path tracing meets such lamps by chance.
+//! Shadow rays do not find this light. The finite-element first pass has few rays for it, and path tracing hits such lamps only by
+//! chance.
 
 use crate::description::{Photometry, Scene};
 use crate::world::{Beams, Dice, Scope, Shone, shine, sources};
 
-/// Rays of a lamp at least, and of all lamps together at most.
+/// Minimum number of rays per lamp, and maximum number of rays of all lamps together.
 const RAYS: [usize; 2] = [16, 1 << 16];
-/// Rays of a lamp at most.
+/// Maximum number of rays per lamp.
 const MOST: usize = 256;
 
-/// Light that solids bend or mirrors reflect on its way from the lamps.
+/// Light that solids refract or mirrors reflect on its way from the lamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BentLight {
-    /// Luminous flux of it, lm, at the start of the clip.
+    /// Luminous flux of this light, lm, at the start of the clip.
     pub lumens: f64,
     /// Share of the flux of all lamps.
     pub share: f64,
 }
 
-/// Follows rays of each lamp up to the first surface that scatters, bends or mirrors; of more than 4096 lamps a part stands for all.
+/// Traces rays from each lamp to the first surface that scatters, refracts or mirrors. If there are more than 4096 lamps, a regular
+/// subset stands for all.
 /// - `flux`: luminous flux of a photometric file, lm.
 pub fn bent_light(scene: &Scene, flux: &dyn Fn(&Photometry) -> f64) -> BentLight {
     let scope = Scope::new(scene);

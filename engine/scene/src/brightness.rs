@@ -1,11 +1,13 @@
-//! How bright the lamps of a scene are together. Light is proportional to the lamps: what is found of it for lamps of brightness 1 is that of
-//! all scenes whose lamps are to each other as these, times their brightness.
+//! Overall brightness of a scene's lamps.
+//!
+//! Light is proportional to the emission of the lamps. A result for lamps of brightness 1 therefore serves all scenes with the same
+//! ratios between their lamps: multiply it by their brightness.
 
 use crate::selector::Scalars;
 
 impl Scalars {
-    /// Brightness of the lamps: the greatest emittance of a material, lm/m2; where no material emits, the greatest factor of a luminaire, or
-    /// else the greatest glow of a medium; 1 where nothing emits.
+    /// Returns the brightness of the lamps: the greatest emittance of a material, lm/m2. If no material emits, it is the greatest
+    /// multiplier of a luminaire, or else the greatest glow of a medium. It is 1 if nothing emits.
     pub fn brightness(&self) -> f64 {
         let greatest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
         let materials = greatest(&mut self.materials.iter().map(|material| material.ed.amount));
@@ -14,7 +16,7 @@ impl Scalars {
         [materials, luminaires, media].into_iter().find(|&it| it > 0.0 && it.is_finite()).unwrap_or(1.0)
     }
 
-    /// The same with lamps of brightness 1, each to the others as before. Scenes that differ in the brightness alone give equal ones.
+    /// Returns a copy whose lamps have brightness 1 and keep their ratios. Scenes that differ only in brightness give equal copies.
     pub fn of_brightness_one(&self) -> Self {
         let (mut one, whole) = (self.clone(), self.brightness());
         one.materials.iter_mut().for_each(|material| material.ed.amount = share(material.ed.amount, whole));
@@ -25,7 +27,7 @@ impl Scalars {
     }
 }
 
-/// A part of a whole, rounded to 41 bits: the last ones of a quotient of equal proportions differ.
+/// Returns `part / whole`, rounded to 41 bits, because the last bits of quotients of equal ratios differ.
 fn share(part: f64, whole: f64) -> f64 {
     const LAST: u64 = 12;
     let bits = (part / whole).to_bits() + (1 << (LAST - 1));

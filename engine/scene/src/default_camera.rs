@@ -1,26 +1,26 @@
-//! The camera of a scene that has none.
+//! Default camera of a scene without cameras.
 //!
-//! It looks at the middle of what is not a lamp: from inside where light hardly leaves the scene (a closed room, maybe with
-//! a window), else from outside along a diagonal. Of the diagonals it takes the one that sees most of what light reaches;
-//! where they are equal, the one from the front left, above.
+//! The camera looks at the middle of everything that is not a lamp. If little light leaves the scene (a closed room, possibly with
+//! a window), the camera is inside; otherwise it is outside on a diagonal. It takes the diagonal that sees most of the lit points.
+//! Among nearly equal diagonals it prefers the one from the front left, above.
 
 use crate::description::{Camera, Location, RegionBounds, Scene};
 use crate::world::{Bounds, Dice, Ending, Hit, Ray, Scope, lamp_points, walk};
 use femc_math::glam::DVec3;
 
-/// Walks of light that tell whether the scene is closed.
+/// Number of random walks that test whether the scene is closed.
 const WALKS: usize = 512;
-/// Share of them that may leave a closed room within their reflections: one wall with a window. An open side lets most out.
+/// Share of walks that may leave a closed room: enough for one wall with a window. An open side lets most walks out.
 const LEAK: f64 = 0.2;
-/// Field of view, degrees, vertical.
+/// Vertical field of view, degrees.
 const FOV: f64 = 60.0;
-/// Film, pixels.
+/// Film size, pixels.
 const FILM: [u32; 2] = [640, 480];
-/// Radius of a scene that is one point, m.
+/// Radius assumed for a scene that is a single point, m.
 const POINT: f64 = 1.0;
-/// How far from the middle of a room to its corner the eye is.
+/// Distance of the eye from the middle of a room, relative to the distance of the corner.
 const TO_CORNER: f64 = 0.8;
-/// Directions to corners in the order of preference, x right, y away, z up.
+/// Directions to the corners in order of preference: x right, y away, z up.
 const CORNERS: [[f64; 3]; 8] = [
     [-1.0, -1.0, 1.0],
     [1.0, -1.0, 1.0],
@@ -32,7 +32,7 @@ const CORNERS: [[f64; 3]; 8] = [
     [1.0, 1.0, -1.0],
 ];
 
-/// Where the default camera stands.
+/// Position of the default camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standpoint {
     /// In a closed room.
@@ -41,8 +41,8 @@ pub enum Standpoint {
     Outside,
 }
 
-/// The camera `default` of a scene at the start of its clip; `None` for a scene with nothing in it to look at, or too
-/// large to be looked at.
+/// Returns the camera `default` of a scene at the start of its clip. Returns `None` if the scene is empty, or too large for a valid
+/// view.
 pub fn default_camera(scene: &Scene) -> Option<(Camera, Standpoint)> {
     let scope = Scope::new(scene);
     let bounds = subject(&scope)?;
@@ -52,7 +52,7 @@ pub fn default_camera(scene: &Scene) -> Option<(Camera, Standpoint)> {
         Reached { closed: true, places } => (inside(&scope, &bounds, &places), Standpoint::Inside),
         Reached { closed: false, places } => (outside(&scope, &bounds, &places), Standpoint::Outside),
     };
-    // Coordinates beyond all measure leave no room for a view.
+    // With extremely large coordinates there is no valid view.
     if !origin.is_finite() || (target - origin).try_normalize().is_none() {
         return None;
     }
@@ -77,7 +77,7 @@ pub fn default_camera(scene: &Scene) -> Option<(Camera, Standpoint)> {
     Some((camera, standpoint))
 }
 
-/// The box of what is not a lamp; of everything, where there is nothing else.
+/// Returns the bounds of everything that is not a lamp, or of the whole scene if there are only lamps.
 fn subject(scope: &Scope<'_>) -> Option<Bounds> {
     let emits: Vec<bool> = scope.scene.materials.iter().map(|material| material.ed.amount > 0.0).collect();
     let is_lamp = |material: crate::MaterialId| emits.get(material.index()) == Some(&true);
@@ -92,15 +92,15 @@ fn subject(scope: &Scope<'_>) -> Option<Bounds> {
     found.into_iter().find(|bounds| !bounds.is_empty() && bounds.diagonal().is_finite())
 }
 
-/// What light reaches.
+/// Result of the walks of light.
 struct Reached {
-    /// Whether it does not leave the scene.
+    /// Whether light stays in the scene.
     closed: bool,
-    /// Places just before surfaces.
+    /// Points just before the surfaces that light reaches.
     places: Vec<DVec3>,
 }
 
-/// From the lamps; without any, from the middle, where only walls that face it make a room.
+/// Traces walks from the lamps. Without lamps, they start in the middle, and walls seen from behind count as open.
 fn reached(scope: &Scope<'_>, bounds: &Bounds) -> Reached {
     let lamps = lamp_points(scope);
     let (mut dice, mut places, mut escaped, mut averted) = (Dice(1), Vec::new(), 0, 0);
@@ -129,7 +129,7 @@ fn reached(scope: &Scope<'_>, bounds: &Bounds) -> Reached {
     Reached { closed: escaped <= most && averted <= most, places }
 }
 
-/// Near the corner of a room from which most of what light reaches can be seen.
+/// Returns the point near a corner of a room that sees most of the lit points.
 fn inside(scope: &Scope<'_>, bounds: &Bounds, places: &[DVec3]) -> DVec3 {
     let (middle, half) = (bounds.middle(), 0.5 * (bounds.max - bounds.min));
     // Above the middle, but below the lamps.
@@ -137,29 +137,29 @@ fn inside(scope: &Scope<'_>, bounds: &Bounds, places: &[DVec3]) -> DVec3 {
     best(scope, middle, &corners, places)
 }
 
-/// On the diagonal from which most of what light reaches can be seen, as far away as shows the whole box.
+/// Returns the point on a diagonal that sees most of the lit points, far enough away to show the whole box.
 fn outside(scope: &Scope<'_>, bounds: &Bounds, places: &[DVec3]) -> DVec3 {
     let (middle, half) = (bounds.middle(), 0.5 * (bounds.max - bounds.min));
-    // The box's sphere fits into a cone of 60 degrees at twice its radius.
+    // At a distance of twice its radius, the bounding sphere fits into a cone of 60 degrees.
     let radius = half.length();
     let radius = if radius > 1e-9 * middle.length() { radius } else { POINT };
-    // A flat box has no height to look down from.
+    // A flat box has too little height for a view from above.
     let flat = half.max(DVec3::splat(0.3 * radius));
     let corners = CORNERS.map(|sign| middle + 2.0 * radius * (flat * DVec3::from_array(sign)).normalize());
     best(scope, middle, &corners, places)
 }
 
-/// Of equally good eyes the first.
+/// Returns the best eye; among nearly equal ones, the first.
 fn best(scope: &Scope<'_>, middle: DVec3, eyes: &[DVec3; 8], places: &[DVec3]) -> DVec3 {
     let step = places.len().div_ceil(256).max(1);
     let views = eyes.map(|eye| {
         let clear = |place: &&DVec3| scope.passages(eye, **place).is_some();
         let seen = places.iter().step_by(step).filter(clear).count();
-        // From below only where little can be seen from above.
+        // A view from below is chosen only if little can be seen from above.
         if eye.z < middle.z { seen / 4 } else { seen }
     });
     let most = views.iter().max().copied().unwrap_or(0);
-    // A little more is no reason to leave the order of preference.
+    // A slightly better view does not change the order of preference.
     let good = views.iter().position(|&seen| seen as f64 >= 0.8 * most as f64);
     eyes[good.unwrap_or(0)]
 }

@@ -1,12 +1,12 @@
-//! The content hash of a scene.
+//! Content hash of a scene.
 //!
-//! BLAKE3 over a canonical serialisation: a version, then every table of the description with its length, each entry in
-//! postcard's encoding. What cannot reach a pixel is left out: the scene's name, the names of source files (images and
-//! photometry count by their content) and all locations. So two files that differ in comments, blanks, line breaks or
-//! includes hash equal, and so does a copy of a scene elsewhere. Names of materials, media, cameras, objects and paths
-//! count, because overrides reach for them. Order counts: ids are indices.
+//! The hash is BLAKE3 over a canonical serialization: a version, then every table of the description with its length, each entry in
+//! postcard's encoding. Data that cannot affect a pixel are left out: the scene's name, the names of source files (images and
+//! photometry count with their content) and all locations. So two files that differ only in comments, blanks, line breaks or
+//! includes have equal hashes, and so does a copy of a scene elsewhere. Names of materials, media, cameras, objects and paths
+//! count, because overrides use them. Order counts, because ids are indices.
 //!
-//! The price of the canonical form is that two descriptions of the same picture (a prism, its faces) hash differently.
+//! The price of the canonical form is that two descriptions of the same picture (a prism and its faces) have different hashes.
 
 use crate::description::{
     Camera, Face, Group, Image, Location, Luminaire, Material, Medium, MediumRegion, MotionPath, Photometry, Quadric,
@@ -19,10 +19,10 @@ use std::{
     str::FromStr,
 };
 
-/// Version of the canonical form; raised with every change of it or of the description.
+/// Version of the canonical form. Raise it with every change of the form or of the description.
 const VERSION: u32 = 2;
 
-/// The content hash of a scene; displays as 64 lower-case hexadecimal digits.
+/// The content hash of a scene. Displays as 64 lower-case hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct SceneDigest(pub [u8; 32]);
 
@@ -52,7 +52,7 @@ impl FromStr for SceneDigest {
 }
 
 impl Scene {
-    /// The content hash; see the [module](crate::digest) for what counts.
+    /// Returns the content hash; the [module](crate::digest) documents what counts.
     pub fn digest(&self) -> SceneDigest {
         let mut canonical = Canonical { out: BufWriter::with_capacity(1 << 16, blake3::Hasher::new()) };
         canonical.scene(self);
@@ -61,13 +61,13 @@ impl Scene {
     }
 }
 
-/// Writes the canonical form into a hash.
+/// Writer that feeds the canonical form into a hash.
 pub(crate) struct Canonical {
     out: BufWriter<blake3::Hasher>,
 }
 
 impl Canonical {
-    /// An empty one of the form `what`: two forms never give the same digest.
+    /// Returns an empty writer of the form `what`. Two different forms never give the same digest.
     pub(crate) fn of(what: &str) -> Self {
         let mut canonical = Self { out: BufWriter::with_capacity(1 << 16, blake3::Hasher::new()) };
         canonical.value(&(what, VERSION));
@@ -83,7 +83,7 @@ impl Canonical {
         postcard::to_io(value, Write::by_ref(&mut self.out)).expect("plain data serialises, a hasher takes every byte");
     }
 
-    /// A table: its length, then what `strip` leaves of each entry.
+    /// Adds a table: its length, then each entry as returned by `strip`.
     pub(crate) fn table<'a, T: 'a, S: Serialize>(&mut self, entries: &'a [T], strip: impl Fn(&'a T) -> S) {
         self.value(&entries.len());
         for entry in entries {
@@ -92,7 +92,7 @@ impl Canonical {
     }
 
     fn scene(&mut self, scene: &Scene) {
-        // No `..`: a new part of the description must choose.
+        // No `..` here, so that a new field of the description forces a decision.
         let Scene {
             name: _,
             files: _,

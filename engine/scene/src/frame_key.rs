@@ -1,11 +1,14 @@
-//! What one frame of a scene is made from, as digests: frames of variants that have equal ones can share the work.
+//! Digests of the inputs of one frame. Frames of variants with equal digests can share work.
 //!
-//! Layers, each a hash of the one before: what no selector reaches ([`StaticDigest`]: surfaces, images, photometry), the content
-//! (the world at the frame's time, wherever it is seen from), the world as it is prepared, around an origin that may follow
-//! the camera, and the view of one camera. Time itself does not count, only what is made of it: a scalar that varies counts
-//! with its value, a path with what it does while the shutter is open ([`Passage`]): where it stands still, with its pose. The
-//! digests never miss a difference; they may see one that no pixel shows (a material that nothing has), and then work is
-//! done twice.
+//! There are four layers, each a hash of the one before:
+//! - [`StaticDigest`]: everything that no selector reaches (surfaces, images, photometry);
+//! - the content: the world at the frame's time, regardless of the viewpoint;
+//! - the prepared world, around an origin that may follow the camera;
+//! - the view of one camera.
+//!
+//! Time itself does not count, only its effects. A scalar that varies counts with its value. A path counts with its motion while
+//! the shutter is open ([`Passage`]); where it stands still, it counts with its pose. The digests never miss a difference. They may
+//! differ for a change that no pixel shows (a material that is on no surface), and then work is done twice.
 
 use crate::animation::Passage;
 use crate::description::{Camera, Luminaire, Material, Medium, MediumRegion, MotionPath, MotionStep, PathId, Scene};
@@ -14,43 +17,44 @@ use crate::selector::Scalars;
 use femc_math::glam::DVec3;
 use std::collections::BTreeSet;
 
-/// What overrides do not reach; equal for all variants of a scene.
+/// Digest of everything that overrides do not reach; equal for all variants of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct StaticDigest(SceneDigest);
 
-/// What a frame is made from.
+/// Digests of the inputs of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct FrameKey {
-    /// What overrides do not reach.
+    /// Digest of everything that overrides do not reach.
     pub static_digest: StaticDigest,
-    /// All but the camera and where the prepared frame's coordinates begin: what is done for one may serve all frames, cameras and
-    /// variants that have it.
+    /// Digest of everything but the camera and the origin of the prepared frame's coordinates. Work done for one content serves all
+    /// frames, cameras and variants with the same digest.
     pub content: SceneDigest,
-    /// All but the camera, as it is prepared: frames with equal ones share the prepared world.
+    /// Digest of everything but the camera, as prepared. Frames with equal digests share the prepared world.
     pub world: SceneDigest,
-    /// The world, but for the brightness of its lamps ([`Scalars::brightness`]): frames with equal ones have the same light but for a factor.
+    /// Digest of the world without the brightness of its lamps ([`Scalars::brightness`]). Frames with equal digests have the same
+    /// light up to a factor.
     pub light: SceneDigest,
-    /// All: frames with equal ones have the same pixels under the same settings.
+    /// Digest of all inputs. Frames with equal digests have the same pixels under the same settings.
     pub view: SceneDigest,
 }
 
-/// Which camera sees what, and when.
+/// The camera, film, frame and shutter of a view.
 #[derive(Clone, Copy, Debug)]
 pub struct Viewpoint<'a> {
     /// The camera at the frame's time.
     pub camera: &'a Camera,
     /// Pixels of the film.
     pub film: [u32; 2],
-    /// Frame of the clip, from 1: it keys the samples.
+    /// Frame of the clip, counted from 1. It is a key of the samples.
     pub frame: u32,
     /// Opening and closing of the shutter, s.
     pub shutter: [f64; 2],
-    /// World position of the coordinates' origin, m.
+    /// World position of the prepared coordinates' origin, m.
     pub origin: DVec3,
 }
 
 impl Scene {
-    /// Digest of what no selector reaches. It reads the whole geometry: compute it once for all variants.
+    /// Returns the digest of everything that no selector reaches. It reads the whole geometry: compute it once for all variants.
     pub fn static_digest(&self) -> StaticDigest {
         let mut canonical = Canonical::of("fixed");
         canonical.value(&self.groups.len());
@@ -69,8 +73,8 @@ impl Scene {
         StaticDigest(canonical.digest())
     }
 
-    /// What a frame is made from.
-    /// - `static_digest`: this scene's, or that of the scene that it is a variant of;
+    /// Returns the digests of a frame's inputs.
+    /// - `static_digest`: that of this scene, or of the scene that it is a variant of;
     /// - `now`: [`Scene::scalars_at`] the frame's time.
     pub fn frame_key(&self, static_digest: StaticDigest, now: &Scalars, viewpoint: &Viewpoint<'_>) -> FrameKey {
         let Viewpoint { camera, film, frame, shutter, origin } = *viewpoint;
@@ -89,7 +93,7 @@ impl Scene {
         };
         let world_of = |what: &str, content: SceneDigest| {
             let mut canonical = Canonical::of(what);
-            // What moves at other times is prepared as what moves, where the shutter is open.
+            // With an open shutter, geometry that moves only at other times is prepared as moving geometry, too.
             canonical.value(&(content, origin, shutter[1] > shutter[0]));
             paths().for_each(|path| canonical.value(&path.map(MotionPath::is_constant)));
             canonical.digest()
@@ -117,7 +121,7 @@ impl Scene {
 }
 
 impl FrameKey {
-    /// What a frame is made from that tells of the next one, too: its view is that of both.
+    /// Returns the digests of a frame whose output also depends on the next frame: the view combines both views.
     pub fn before(self, next: &Self) -> Self {
         let mut canonical = Canonical::of("view and next");
         canonical.value(&(self.view, next.view));
@@ -126,7 +130,7 @@ impl FrameKey {
 }
 
 impl Canonical {
-    /// A path as one frame sees it; one that is not there is none.
+    /// Adds a path as one frame sees it; a missing path adds an empty value.
     fn path(&mut self, path: Option<&MotionPath>, shutter: [f64; 2]) {
         match path.map(|path| path.between(shutter)) {
             Some(passage @ Passage::Moving(..)) => self.value(&(shutter, passage)),

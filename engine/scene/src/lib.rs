@@ -1,7 +1,7 @@
-//! Scenes: the format-independent description, its selectors, animation and faults.
+//! Scenes: the format-independent description, its selectors, its animation and its faults.
 //!
-//! An importer fills a [`Scene`]; nothing in it depends on the file format. Lengths are metres, angles degrees where a
-//! field says so and radians elsewhere, times seconds; everything is f64 until a frame is prepared.
+//! An importer fills a [`Scene`]; nothing in it depends on the file format. Lengths are in meters, times in seconds. Angles are in
+//! degrees where a field says so, and in radians elsewhere. All numbers are f64 until a frame is prepared.
 #![deny(missing_docs)]
 
 pub mod animation;

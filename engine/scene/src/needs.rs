@@ -1,25 +1,25 @@
-//! What a scene needs of the renderer, computed once, so that what it does not need is not paid for.
+//! Renderer features that a scene needs. They are computed once, so that unused features cost nothing.
 //!
-//! An answer holds for the whole clip: a scalar that varies counts with its largest key, an object that is hidden now
-//! but shown at some time counts as shown.
+//! An answer holds for the whole clip: a scalar that varies counts with its largest key, and an object that is hidden now but shown
+//! at some time counts as shown.
 
 use crate::description::{Camera, Material, MediumId, Scene};
 use std::collections::BTreeSet;
 
-/// What the renderer must be able to do; picks its kernel.
+/// Features that the renderer needs; they select its kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
-    /// Some space scatters, absorbs or glows.
+    /// Whether some space scatters, absorbs or glows.
     pub media: bool,
-    /// Some surface reflects or transmits specularly, rough or smooth.
+    /// Whether some surface reflects or transmits specularly, rough or smooth.
     pub glossy: bool,
-    /// Some surface has an image texture.
+    /// Whether some surface has an image texture.
     pub textures: bool,
-    /// Something moves while the shutter is open.
+    /// Whether something moves while the shutter is open.
     pub motion: bool,
 }
 
-/// A need that a scene does not have.
+/// A feature that a scene may do without.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Feature {
     /// [`Needs::media`]
@@ -43,17 +43,17 @@ impl std::fmt::Display for Feature {
     }
 }
 
-/// Something left out, and why.
+/// A feature that is left out, with the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Spared {
-    /// What is left out.
+    /// The feature.
     pub feature: Feature,
-    /// Why, for people.
+    /// Reason, as text for users.
     pub reason: String,
 }
 
 impl Scene {
-    /// What rendering this scene through `camera` needs.
+    /// Returns the features that rendering this scene through `camera` needs.
     pub fn needs(&self, camera: &Camera) -> Needs {
         let materials = self.materials_shown();
         Needs {
@@ -64,7 +64,8 @@ impl Scene {
         }
     }
 
-    /// What rendering this scene through `camera` can do without, with the reasons; what [`Self::needs`] denies.
+    /// Returns the features that rendering this scene through `camera` does not need, with the reasons: those that are false in
+    /// [`Self::needs`].
     pub fn spared(&self, camera: &Camera) -> Vec<Spared> {
         let materials = self.materials_shown();
         let reasons = [
@@ -76,7 +77,7 @@ impl Scene {
         reasons.into_iter().filter_map(|(feature, reason)| Some(Spared { feature, reason: reason? })).collect()
     }
 
-    /// Whether each group is placed in the world, at any depth.
+    /// Returns for each group whether it is placed in the world, at any depth.
     pub fn placed_groups(&self) -> Vec<bool> {
         let mut placed = vec![false; self.groups.len()];
         let mut open = vec![0];
@@ -89,7 +90,7 @@ impl Scene {
         placed
     }
 
-    /// Materials of surfaces that are placed and shown at some time.
+    /// Returns the materials of surfaces that are placed and shown at some time.
     fn materials_shown(&self) -> Vec<&Material> {
         let hidden = crate::objects::hidden_objects(&self.objects);
         let blinking = self.blinking_objects();
@@ -104,14 +105,15 @@ impl Scene {
         shown.into_iter().filter_map(|index| self.materials.get(index)).collect()
     }
 
-    /// The largest value that `field` of an entity takes: `now`, or a key of its `vary`.
+    /// Returns the largest value of a `field` of an entity: `now`, or a key of its `vary`.
     pub fn largest(&self, entity: &str, field: &str, now: f64) -> f64 {
         let selector = format!("{entity}.{field}");
         let varies = self.varies.iter().filter(|vary| vary.selector == selector);
         varies.flat_map(|vary| vary.keys.iter().map(|key| key.1)).fold(now, f64::max)
     }
 
-    /// Whether nothing emits light at any time: surfaces that are shown, luminaires, media. Every picture of such a scene is black.
+    /// Returns whether nothing emits light at any time: no shown surface, no luminaire and no medium. Every picture of such a scene
+    /// is black.
     pub fn is_dark(&self) -> bool {
         let most = |kind: &str, name: &str, field: &str, now: f64| self.largest(&format!("{kind}.{name}"), field, now);
         let is_black = |material: &Material| material.ed.color.iter().all(|channel| *channel <= 0.0);

@@ -1,14 +1,14 @@
-//! What objects pass on to the objects that they enclose.
+//! Properties that objects pass on to the objects that they enclose.
 
 use crate::description::{Object, ObjectId};
 
-/// For every object: whether it is hidden, by itself or with an object that encloses it.
-/// - `objects`: the scene's, or the same at some time ([`crate::Scalars::objects`]).
+/// Returns for every object whether it is hidden, either itself or through an enclosing object.
+/// - `objects`: the scene's objects, as described or at some time ([`crate::Scalars::objects`]).
 pub fn hidden_objects(objects: &[Object]) -> Vec<bool> {
     inherited(objects, |object| object.hidden)
 }
 
-/// Whether `has` holds for each object or one that encloses it. A chain of parents that comes back to itself ends.
+/// Returns for each object whether `has` holds for it or for an object that encloses it. A cycle of parents is followed only once.
 pub(crate) fn inherited(objects: &[Object], has: impl Fn(&Object) -> bool) -> Vec<bool> {
     let mut answers: Vec<Option<bool>> = vec![None; objects.len()];
     for start in 0..objects.len() {

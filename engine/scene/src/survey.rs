@@ -1,23 +1,23 @@
-//! What is in a scene: how large it is, and its lamps with their luminous flux.
+//! Survey of a scene: its size, and its lamps with their luminous flux.
 
 use crate::description::{Location, Photometry, RegionBounds, Scene, Sides};
 use crate::world::{Bounds, Scope, area, touching};
 use femc_math::glam::DVec3;
 
-/// Lamps whose luminous flux differs by less than this part are equal: areas of turned copies are rounded.
+/// Relative difference in luminous flux below which lamps are equal. It allows for the rounded areas of rotated copies.
 const EQUAL: f64 = 1e-3;
 
-/// What kind of lamp.
+/// Kind of lamp.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LampKind {
-    /// Surfaces of this material that touch each other.
+    /// Touching surfaces of this material.
     Surface {
         /// The material's name; empty for the unnamed one.
         material: String,
     },
     /// A luminaire of this photometric file.
     Luminaire {
-        /// Its path from the scene's root.
+        /// Path of the file, relative to the scene's root.
         path: String,
     },
     /// A box of this glowing medium.
@@ -27,31 +27,31 @@ pub enum LampKind {
     },
 }
 
-/// Equal lamps.
+/// A group of equal lamps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lamp {
     /// Kind of lamp.
     pub kind: LampKind,
-    /// How many there are.
+    /// Number of lamps.
     pub count: u64,
-    /// Luminous flux of each, lm, at the start of the clip.
+    /// Luminous flux of each lamp, lm, at the start of the clip.
     pub lumens: f64,
-    /// Area that emits of each, m2, both sides of two-sided surfaces; `None` for luminaires and media.
+    /// Emitting area of each lamp, m2, counting both sides of two-sided surfaces; `None` for luminaires and media.
     pub area: Option<f64>,
-    /// The first of them.
+    /// Location of the first lamp.
     pub location: Location,
 }
 
-/// A scene in numbers.
+/// Survey of a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
-    /// Lower and upper corner of all surfaces and luminaires that are shown, in the world, m; `None` for an empty scene.
+    /// Lower and upper corner of all shown surfaces and luminaires, in the world, m; `None` for an empty scene.
     pub bounds: Option<[DVec3; 2]>,
-    /// Lamps in order of place in the files.
+    /// Lamps in order of their location in the files.
     pub lamps: Vec<Lamp>,
 }
 
-/// Looks at a scene at the start of its clip.
+/// Surveys a scene at the start of its clip.
 /// - `flux`: luminous flux of a photometric file, lm.
 pub fn survey(scene: &Scene, flux: &dyn Fn(&Photometry) -> f64) -> Survey {
     let scope = Scope::new(scene);
@@ -66,13 +66,13 @@ pub fn survey(scene: &Scene, flux: &dyn Fn(&Photometry) -> f64) -> Survey {
     Survey { bounds, lamps }
 }
 
-/// Equal lamps as one line.
+/// Merges equal lamps into one entry.
 fn together(lamps: &[Lamp]) -> Option<Lamp> {
     let first = lamps.iter().min_by_key(|lamp| lamp.location)?;
     Some(Lamp { count: lamps.len() as u64, ..first.clone() })
 }
 
-/// A face or a curved surface that emits.
+/// An emitting face or curved surface.
 struct Element {
     bounds: Bounds,
     area: f64,
@@ -80,7 +80,7 @@ struct Element {
     location: Location,
 }
 
-/// Emitting surfaces of one material that touch each other are one lamp.
+/// Returns the surface lamps. Touching emitting surfaces of one material form one lamp.
 fn surfaces(scope: &Scope<'_>) -> Vec<Lamp> {
     let elements = elements(scope);
     let bounds: Vec<Bounds> = elements.iter().map(|element| element.bounds).collect();

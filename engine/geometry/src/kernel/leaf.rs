@@ -19,18 +19,18 @@ pub(crate) struct Best {
     pub primitive: u32,
     pub u: f32,
     pub v: f32,
-    /// Primitives below this win at equal `t`.
+    /// Primitives below this index win at equal `t`.
     pub tie: u32,
 }
 
 impl Best {
-    /// Nothing yet; only hits before `t_max` count.
+    /// Starts without a hit. Only hits before `t_max` count.
     #[inline(always)]
     pub fn before(t_max: f32) -> Self {
         Self { t: t_max, primitive: u32::MAX, u: 0.0, v: 0.0, tie: 0 }
     }
 
-    /// The hit, in `instance`.
+    /// Returns the hit, in `instance`.
     #[inline(always)]
     pub fn hit(&self, instance: u32) -> Hit {
         Hit { t: self.t, instance, primitive: self.primitive, u: self.u, v: self.v }
@@ -42,7 +42,7 @@ impl Best {
     }
 }
 
-/// Improves `best` by the closest hit in `blas`; returns whether there was one.
+/// Improves `best` with the closest hit in `blas`. Returns whether there was one.
 #[inline(always)]
 pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, probe: &Probe, best: &mut Best) -> bool {
     let before = best.primitive;
@@ -55,7 +55,7 @@ pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, probe: &Probe, best: &
     improved
 }
 
-/// Whether anything in `blas` is hit before `t_max`.
+/// Returns whether anything in `blas` is hit before `t_max`.
 #[inline(always)]
 pub(crate) fn blas_occluded<S: Simd>(simd: S, blas: &Blas, probe: &Probe, t_max: f32) -> bool {
     walk::any(simd, &blas.tree, probe, t_max, &mut Occluded { simd, blas, probe, t_max })
@@ -111,25 +111,25 @@ impl<S: Simd> AnyLeaf for Occluded<'_, S> {
     }
 }
 
-/// Distance of the first admissible crossing, at most `t_max`.
+/// Returns the distance of the first valid crossing, at most `t_max`.
 #[inline(never)]
 fn shape_distance(shape: &Shape, probe: &Probe, t_max: f32) -> Option<f32> {
-    // The end is widened so that ties are seen; the caller compares in f32.
+    // The end is extended so that ties are found; the caller compares in f32.
     let span = Span { from: 0.0, to: f64::from(t_max) * (1.0 + 1e-7) };
     let crossings = shape.crossings(probe.mirrored);
     let t = shape.quadric.intersect(probe.origin.as_dvec3(), probe.dir.as_dvec3(), span, crossings)?;
     Some(t as f32).filter(|&t| t > 0.0 && t <= t_max)
 }
 
-/// The ray's frame in the watertight test: its start, permuted, and the shear.
+/// Ray data of the watertight test: the permuted origin, and the shear.
 struct Frame<V> {
     origin: [V; 3],
     shear: [V; 2],
 }
 
 impl<V: Vector> Frame<V> {
-    /// Corner `i` of all triangles from the ray's start, and its sheared coordinates. A function and not a closure: closures are not
-    /// compiled for the caller's instruction set unless they are inlined.
+    /// Returns corner `i` of all triangles relative to the ray's origin, and its sheared coordinates. This is a function and not a
+    /// closure, because closures are not compiled for the caller's instruction set unless they are inlined.
     #[inline(always)]
     fn corner<S: Simd<V = V>>(
         &self,
@@ -146,7 +146,7 @@ impl<V: Vector> Frame<V> {
     }
 }
 
-/// The triangles of a block that the ray crosses: at positive distances not beyond the limit, from a side from which they are visible.
+/// Triangles of a block that the ray crosses, at positive distances up to the limit, from a side from which they are visible.
 struct Crossing<V> {
     mask: u32,
     /// Lanes with an edge function that is 0 in f32.
@@ -157,10 +157,12 @@ struct Crossing<V> {
 }
 
 impl<V: Vector> Crossing<V> {
-    /// The watertight test (\[woop2013\]) on eight triangles. A sum of two rounded products has the exact sign or is 0, and is the
-    /// neighbour's with the sign changed; where it is 0, f64 decides, in which the products are exact. The distance comes from the plane and
-    /// not from the edge functions: its sign is then that of `normal . (vertex - origin)` over `normal . dir`, which error bounds
-    /// can guarantee even for grazing rays.
+    /// Tests eight triangles with the watertight test (\[woop2013\]).
+    ///
+    /// A sum of two rounded products has the exact sign or is 0, and the neighbor computes the same sum with the opposite sign. If
+    /// the sum is 0, the test is repeated in f64, in which the products are exact. The distance is computed from the plane and not
+    /// from the edge functions. Its sign is then that of `normal . (vertex - origin)` over `normal . dir`, which error bounds can
+    /// guarantee even for grazing rays.
     #[inline(always)]
     fn find<S: Simd<V = V>>(simd: S, block: &Block, probe: &Probe, t_max: f32) -> Option<Self> {
         let [kx, ky, kz] = probe.axes;
@@ -190,7 +192,7 @@ impl<V: Vector> Crossing<V> {
         if mask == 0 {
             return None;
         }
-        // A mirrored frame turns the sides.
+        // A mirrored frame swaps the sides.
         let from_behind = if probe.mirrored { slope.lt(zero).signs() } else { zero.lt(slope).signs() };
         mask &= !(block.culled & from_behind);
         let edges = [u, v, w];
@@ -206,7 +208,7 @@ impl<V: Vector> Crossing<V> {
         self.t.lt(simd.splat(t_max)).signs() & self.mask != 0
     }
 
-    /// Takes the nearest crossing into `best`, and of equally near ones that of the lowest primitive.
+    /// Updates `best` with the nearest crossing. Among equally near ones, the lowest primitive wins.
     #[inline(always)]
     fn improve(&self, block: &Block, probe: &Probe, best: &mut Best) {
         let t = self.t.lanes().0;
@@ -235,7 +237,7 @@ impl<V: Vector> Crossing<V> {
     }
 }
 
-/// The mask without those lanes of `on_edge` that f64 edge functions find outside.
+/// Returns the mask without the lanes of `on_edge` that f64 edge functions find outside.
 #[cold]
 #[inline(never)]
 fn without_missed(block: &Block, probe: &Probe, mask: u32, on_edge: u32) -> u32 {
@@ -244,7 +246,8 @@ fn without_missed(block: &Block, probe: &Probe, mask: u32, on_edge: u32) -> u32 
         .fold(mask, |mask, lane| if exact_edges(block, probe, lane).is_some() { mask } else { mask & !(1 << lane) })
 }
 
-/// Edge functions of one lane with exact products, if the ray is inside or on the edge and the triangle is not seen edge-on.
+/// Returns the edge functions of one lane with exact products, if the ray is inside or on the edge and the triangle is not seen
+/// edge-on.
 #[cold]
 #[inline(never)]
 fn exact_edges(block: &Block, probe: &Probe, lane: usize) -> Option<[f32; 3]> {

@@ -1,7 +1,8 @@
-//! The traversal kernels, written once over a vector type and compiled for each instruction set.
+//! Traversal kernels, written once over a vector type and compiled for each instruction set.
 //!
-//! [`femc_simd`] has the vectors; [`walk`] holds the traversal of a tree, [`stack`] what is left to visit, [`leaf`] the tests of what is in
-//! its leaves. All instruction sets do the same IEEE operations in the same order (no fused multiply-add), so they give the same bits.
+//! [`femc_simd`] provides the vectors. [`walk`] contains the traversal of a tree, [`stack`] the nodes that are still to visit,
+//! [`leaf`] the tests of the leaves' contents. All instruction sets perform the same IEEE operations in the same order (no fused
+//! multiply-add), so they give the same bits.
 
 mod leaf;
 mod probe;

@@ -1,19 +1,19 @@
 use femc_math::glam::{Affine3A, Vec3A};
 
-/// A ray in the frame of one tree, with what the box and triangle tests want. The direction need not be unit: `t` is that of the
-/// world's ray.
+/// A ray in the frame of one tree, with precomputed data for the box and triangle tests. The direction need not be unit: `t` is
+/// that of the world's ray.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Probe {
     pub origin: Vec3A,
     pub dir: Vec3A,
     pub inverse: Vec3A,
-    /// By axis: 1 where the ray goes down, so that the greatest plane is the near one.
+    /// 1 for each axis along which the direction is negative, where the greatest plane is the near one.
     pub side: [usize; 3],
-    /// Axes permuted so that the last is the one of the greatest extent, with the winding kept (\[woop2013\]).
+    /// Axes permuted so that the direction's largest component is last, with the winding preserved (\[woop2013\]).
     pub axes: [usize; 3],
     /// Shear that makes the direction parallel to the last axis.
     pub shear: [f32; 2],
-    /// The frame is a mirror image of the world's.
+    /// Whether the frame is a mirror image of the world's.
     pub mirrored: bool,
 }
 
@@ -46,7 +46,7 @@ impl Probe {
         }
     }
 
-    /// The probe of a world ray in the frame that `to_local` leads to.
+    /// Transforms a world ray into the frame to which `to_local` maps.
     #[inline(always)]
     pub fn transformed(origin: Vec3A, dir: Vec3A, to_local: &Affine3A, mirrored: bool) -> Self {
         let origin = to_local.transform_point3a(origin);

@@ -1,4 +1,5 @@
-//! The traversal's stack: distances and children packed into u64, ordered like the distances, which are not negative.
+//! Stack of the traversal: distances and children packed into u64. The integers are ordered like the distances, because these are
+//! not negative.
 
 #![expect(unsafe_code, reason = "measured: clearing the stack would cost as much as a ray")]
 
@@ -22,7 +23,7 @@ impl Entry {
     }
 }
 
-/// A stack of at most [`STACK`] entries; the first `len` are initialised.
+/// A stack of at most [`STACK`] entries; the first `len` are initialized.
 pub(crate) struct Stack {
     entries: [MaybeUninit<u64>; STACK],
     len: usize,
@@ -34,13 +35,13 @@ impl Stack {
         Self { entries: [const { MaybeUninit::uninit() }; STACK], len: 0 }
     }
 
-    /// Pushes the children whose bit in `mask` is set, with their distances; returns how many.
+    /// Pushes the children whose bit in `mask` is set, with their distances. Returns their number.
     #[inline(always)]
     pub fn push<S: Simd>(&mut self, simd: S, mask: u32, distances: S::V, children: &[Child; WIDTH]) -> usize {
         let room = self.entries[self.len..].first_chunk_mut::<WIDTH>().expect("trees are built to fit the stack");
         // SAFETY: a child is transparent over u32.
         let children = unsafe { &*children.as_ptr().cast::<[u32; WIDTH]>() };
-        // So many entries of the room are initialised, and `len` counts those.
+        // `compress` initializes `count` entries of the room, and `len` grows by this number.
         let count = simd.compress(mask, distances, children, room);
         self.len += count;
         count
@@ -49,7 +50,7 @@ impl Stack {
     #[inline(always)]
     pub fn pop(&mut self) -> Option<Entry> {
         self.len = self.len.checked_sub(1)?;
-        // SAFETY: `len` was positive, so the entry at the new `len` has been initialised by a push; it is in bounds because pushes are.
+        // SAFETY: `len` was positive, so a push has initialized the entry at the new `len`. It is in bounds because pushes are.
         Some(Entry(unsafe { self.entries.get_unchecked(self.len).assume_init() }))
     }
 
@@ -57,7 +58,7 @@ impl Stack {
     #[inline(always)]
     pub fn sort_top(&mut self, count: usize) {
         let from = self.len - count;
-        // SAFETY: the first `len` entries are initialised and u64 has the layout of its MaybeUninit.
+        // SAFETY: the first `len` entries are initialized, and u64 has the layout of its MaybeUninit.
         let top = unsafe { &mut *(std::ptr::from_mut(&mut self.entries[from..self.len]) as *mut [u64]) };
         for i in 1..top.len() {
             let entry = top[i];

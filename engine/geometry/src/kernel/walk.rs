@@ -8,19 +8,19 @@ use crate::tree::{Child, Node, Tree};
 use femc_math::gamma;
 use femc_simd::{Simd, Vector};
 
-/// What a nearest-first traversal does with a leaf.
+/// Leaf test of a nearest-first traversal.
 pub(crate) trait NearestLeaf {
-    /// Tests the leaf; returns the distance beyond which nothing matters any more.
+    /// Tests the leaf. Returns the distance beyond which hits no longer count.
     fn visit(&mut self, leaf: Child) -> f32;
 }
 
-/// What an any-order traversal does with a leaf.
+/// Leaf test of an any-order traversal.
 pub(crate) trait AnyLeaf {
-    /// Whether the leaf ends the traversal.
+    /// Tests the leaf. Returns whether it ends the traversal.
     fn visit(&mut self, leaf: Child) -> bool;
 }
 
-/// The ray's side of the box test, broadcast.
+/// Ray data of the box test, broadcast to all lanes.
 struct Slabs<V> {
     origin: [V; 3],
     inverse: [V; 3],
@@ -38,13 +38,13 @@ impl<V: Vector> Slabs<V> {
             inverse: [simd.splat(i.x), simd.splat(i.y), simd.splat(i.z)],
             near: probe.side,
             zero: simd.splat(0.0),
-            // Ize's bound for the rounding of both ends (\[ize2013\]): no box that the exact ray meets is missed.
+            // Ize's bound for the rounding of both ends (\[ize2013\]): no box that the exact ray hits is missed.
             widen: simd.splat(1.0 + 2.0 * gamma(3)),
         }
     }
 
-    /// Bits of the boxes that the ray meets before `limit`, and the distances at which it enters them. Products of 0 and infinity (the ray in
-    /// a plane of the box) are NaN, which the order of operands drops.
+    /// Returns the bits of the boxes that the ray hits before `limit`, and the distances at which it enters them. Products of 0 and
+    /// infinity (the ray lies in a plane of the box) are NaN, which the order of operands discards.
     #[inline(always)]
     fn test<S: Simd<V = V>>(&self, simd: S, node: &Node, limit: V) -> (u32, V) {
         let (mut enter, mut leave) = (self.zero, limit);
@@ -59,7 +59,7 @@ impl<V: Vector> Slabs<V> {
     }
 }
 
-/// Visits leaves in about the order of their boxes' distances, none of which is beyond the limit.
+/// Visits leaves roughly in order of their boxes' distances. Boxes beyond the limit are skipped.
 #[inline(always)]
 pub(crate) fn nearest_first<S: Simd>(simd: S, tree: &Tree, probe: &Probe, limit: f32, leaf: &mut impl NearestLeaf) {
     let slabs = Slabs::new(simd, probe);
@@ -97,7 +97,7 @@ pub(crate) fn nearest_first<S: Simd>(simd: S, tree: &Tree, probe: &Probe, limit:
     }
 }
 
-/// Visits leaves whose boxes the ray meets before `limit` until one says that it is enough; returns whether one did.
+/// Visits leaves whose boxes the ray hits before `limit`, until one ends the traversal. Returns whether one did.
 #[inline(always)]
 pub(crate) fn any<S: Simd>(simd: S, tree: &Tree, probe: &Probe, limit: f32, leaf: &mut impl AnyLeaf) -> bool {
     let slabs = Slabs::new(simd, probe);

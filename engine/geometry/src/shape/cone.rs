@@ -19,8 +19,8 @@ impl Cone {
         Self { start: start.as_dvec3(), axis: way / height, height, radius: r0, slope: (r1 - r0) / height }
     }
 
-    /// First crossing in `span`: a quadratic about the ray's point next to the middle of the axis, so that distant rays keep
-    /// their accuracy.
+    /// Returns the first crossing in `span`. The quadratic is taken about the ray's point closest to the middle of the axis, so
+    /// that distant rays keep their accuracy.
     #[inline]
     pub fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: Crossings) -> Option<f64> {
         let from_middle = self.start + self.axis * (0.5 * self.height) - origin;

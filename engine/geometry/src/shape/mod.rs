@@ -1,7 +1,7 @@
 //! Analytic shapes: exact intersections in f64 from f32 parameters.
 //!
-//! With f64 inside, the side of the surface on which a ray starts is known far better than the f32 offset that put it there;
-//! so a ray that left a convex shape cannot hit it again. The price is about twice the time of an f32 test, paid only by shapes.
+//! In f64, the side of the surface on which a ray starts is known far more accurately than the f32 offset that moved it there. So a
+//! ray that left a convex shape cannot hit it again. The price is about twice the time of an f32 test; only shapes pay it.
 
 mod cone;
 mod polynomial;
@@ -16,7 +16,7 @@ use femc_math::{
 };
 use std::f64::consts::{PI, TAU};
 
-/// Whether a shape's front side is its outer or its inner one.
+/// Orientation of a shape: whether its front side is the outer or the inner one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Facing {
     /// Normals point outward.
@@ -76,19 +76,19 @@ pub enum Quadric {
     },
 }
 
-/// Which crossings of a surface count.
+/// Crossings of a surface that count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Crossings {
-    /// Both ways.
+    /// Crossings in both directions.
     All,
-    /// Only from the outer side (for a ring: against its normal).
+    /// Only crossings from the outer side (for a ring: against its normal).
     Entering,
-    /// Only from the inner side.
+    /// Only crossings from the inner side.
     Leaving,
 }
 
 impl Crossings {
-    /// Whether a crossing counts, given the derivative along the ray of a function that grows outward.
+    /// Returns whether a crossing counts, given the derivative along the ray of a function that increases outward.
     #[inline]
     fn admit(self, outward_slope: f64) -> bool {
         match self {
@@ -99,10 +99,10 @@ impl Crossings {
     }
 }
 
-/// The surface point next to a given point.
+/// The surface point closest to a given point.
 pub(crate) struct SurfacePoint {
     pub position: DVec3,
-    /// Unit, front side.
+    /// Unit normal of the front side.
     pub normal: DVec3,
     pub uv: [f64; 2],
 }
@@ -122,7 +122,7 @@ impl Span {
 }
 
 impl Quadric {
-    /// The front side; a ring's is the side of its normal.
+    /// Returns the front side; for a ring it is the side of its normal.
     pub fn facing(&self) -> Facing {
         match *self {
             Self::Sphere { facing, .. } | Self::Cone { facing, .. } | Self::Torus { facing, .. } => facing,
@@ -130,7 +130,7 @@ impl Quadric {
         }
     }
 
-    /// Whether the shape is finite and has an area.
+    /// Returns whether the shape is finite and has an area.
     pub(crate) fn is_proper(&self) -> bool {
         let good = match *self {
             Self::Sphere { radius, .. } => radius > 0.0,
@@ -144,9 +144,9 @@ impl Quadric {
         good && bounds.min.is_finite() && bounds.max.is_finite()
     }
 
-    /// The least f32 box around the shape, up to rounding.
+    /// Returns the smallest f32 box around the shape, up to rounding.
     pub fn bounds(&self) -> Aabb {
-        /// Half extents of a disc of unit radius with unit normal `n`.
+        /// Returns the half extents of a disc of unit radius with unit normal `n`.
         fn disc(n: DVec3) -> DVec3 {
             (DVec3::ONE - n * n).max(DVec3::ZERO).map(f64::sqrt)
         }
@@ -169,7 +169,7 @@ impl Quadric {
         }
     }
 
-    /// The least ray parameter in `span` at which `origin + t dir` crosses the surface. `dir` need not be unit.
+    /// Returns the smallest ray parameter in `span` at which `origin + t dir` crosses the surface. `dir` need not be unit.
     #[inline]
     pub(crate) fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: Crossings) -> Option<f64> {
         match *self {
@@ -195,8 +195,8 @@ impl Quadric {
         }
     }
 
-    /// The point with the parameters `u` and `v` of a hit, and the unit normal of the front side there. The inverse of
-    /// [`World::intersect`](crate::World::intersect)'s parameters (test `parameters_name_the_point_that_has_them`).
+    /// Returns the point with the parameters `u` and `v` of a hit, and the unit normal of the front side there. This is the inverse
+    /// of [`World::intersect`](crate::World::intersect)'s parameters (test `parameters_name_the_point_that_has_them`).
     pub fn point_at(&self, [u, v]: [f64; 2]) -> (DVec3, DVec3) {
         let around = |axis: DVec3| {
             let (x, y) = axis.any_orthonormal_pair();
@@ -233,7 +233,7 @@ impl Quadric {
         (position, if self.facing() == Facing::Inward { -normal } else { normal })
     }
 
-    /// Area, m2.
+    /// Returns the area, m2.
     pub fn area(&self) -> f64 {
         match *self {
             Self::Sphere { radius, .. } => 2.0 * TAU * f64::from(radius) * f64::from(radius),
@@ -247,8 +247,8 @@ impl Quadric {
         }
     }
 
-    /// Share of the area that has a second parameter below `v`, in [0, 1]: with it in place of `v`, equal steps of the parameters
-    /// have equal areas.
+    /// Returns the share of the area with a second parameter below `v`, in [0, 1]. If it replaces `v`, equal steps of the
+    /// parameters have equal areas.
     pub fn share_below(&self, v: f64) -> f64 {
         match *self {
             Self::Sphere { .. } => 0.5 - 0.5 * sin_cos(PI * v).1,
@@ -260,10 +260,10 @@ impl Quadric {
         }
     }
 
-    /// The second parameter that has a share of the area below it: the inverse of [`Self::share_below`].
+    /// Returns the second parameter below which a share of the area lies: the inverse of [`Self::share_below`].
     pub fn at_share(&self, share: f64) -> f64 {
         let (mut low, mut high) = (0.0, 1.0);
-        // The share grows with the parameter; a third of a step of bisection is left of a double's precision.
+        // The share increases with the parameter. The remaining error is a third of a step of bisection in double precision.
         for _ in 0..52 {
             let middle = 0.5 * (low + high);
             if self.share_below(middle) < share { low = middle } else { high = middle }
@@ -271,7 +271,7 @@ impl Quadric {
         0.5 * (low + high)
     }
 
-    /// The point of the surface next to `p`, which is near it.
+    /// Returns the surface point closest to `p`, which must be near the surface.
     pub(crate) fn nearest(&self, p: DVec3) -> SurfacePoint {
         let (mut point, facing) = match *self {
             Self::Sphere { center, radius, facing } => {
@@ -298,13 +298,13 @@ impl Quadric {
     }
 }
 
-/// Angle of the vector (`x`, `y`) / 2 pi, in [0, 1).
+/// Returns the angle of the vector (`x`, `y`) / 2 pi, in [0, 1).
 fn turn(y: f64, x: f64) -> f64 {
     let t = atan2(y, x) / TAU;
     if t < 0.0 { (t + 1.0).min(1.0 - f64::EPSILON) } else { t }
 }
 
-/// Angle of `p` about `axis` / 2 pi, in [0, 1), from a fixed direction that depends on the axis only.
+/// Returns the angle of `p` about `axis` / 2 pi, in [0, 1), from a fixed direction that depends only on the axis.
 fn turn_about(axis: DVec3, p: DVec3) -> f64 {
     let (x, y) = axis.any_orthonormal_pair();
     turn(p.dot(y), p.dot(x))

@@ -1,5 +1,5 @@
-//! Real roots by recursion on the derivative: between neighbouring critical points a polynomial is monotone, so a sign change there
-//! brackets exactly one root. Slower than closed forms, and without their cancellations.
+//! Real roots of polynomials by recursion on the derivative. Between neighboring critical points a polynomial is monotone, so a
+//! sign change there brackets exactly one root. This is slower than closed forms, but has no cancellation.
 
 /// At most three ascending numbers.
 #[derive(Clone, Copy, Default)]
@@ -19,7 +19,7 @@ impl Few {
     }
 }
 
-/// Roots with a change of sign of c0 + c1 x + c2 x^2 + c3 x^3 in (`lo`, `hi`), ascending.
+/// Returns the roots with a change of sign of c0 + c1 x + c2 x^2 + c3 x^3 in (`lo`, `hi`), ascending.
 pub(super) fn cubic_roots_between(c: &[f64; 4], lo: f64, hi: f64) -> Few {
     let f = |x: f64| ((c[3] * x + c[2]) * x + c[1]) * x + c[0];
     let mut roots = Few::default();
@@ -36,7 +36,7 @@ pub(super) fn cubic_roots_between(c: &[f64; 4], lo: f64, hi: f64) -> Few {
     roots
 }
 
-/// Roots of c0 + 2 c1 x + c2 x^2, ascending; none where they are not real.
+/// Returns the roots of c0 + 2 c1 x + c2 x^2, ascending; none if they are not real.
 fn quadratic_roots(c0: f64, c1: f64, c2: f64) -> impl IntoIterator<Item = f64> {
     let discriminant = c1 * c1 - c0 * c2;
     let q = -(c1 + discriminant.sqrt().copysign(c1));
@@ -45,8 +45,8 @@ fn quadratic_roots(c0: f64, c1: f64, c2: f64) -> impl IntoIterator<Item = f64> {
     pair.into_iter().filter(move |x| discriminant > 0.0 && x.is_finite())
 }
 
-/// The root of `f` between `lo` and `hi`, where it has opposite signs: false position (Illinois) guarded by bisection, to the last
-/// bits.
+/// Returns the root of `f` between `lo` and `hi`, where `f` has opposite signs. Uses false position (Illinois) safeguarded by
+/// bisection, to the last bits.
 pub(super) fn bracketed_root(f: &impl Fn(f64) -> f64, mut lo: f64, mut hi: f64) -> f64 {
     let (mut f_lo, mut f_hi) = (f(lo), f(hi));
     let negative_low = f_lo < 0.0;

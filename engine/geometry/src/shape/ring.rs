@@ -1,7 +1,7 @@
 use super::{Crossings, Span, SurfacePoint, turn_about};
 use femc_math::glam::DVec3;
 
-/// Crossing of the annulus about 0 between the two radii.
+/// Returns the crossing of the annulus about 0 between the two radii.
 #[inline]
 pub(super) fn intersect(
     origin: DVec3,

@@ -1,7 +1,7 @@
 use super::{Crossings, Span};
 use femc_math::glam::DVec3;
 
-/// First crossing of the sphere of `radius` about 0. The discriminant is taken at the point of closest approach
+/// Returns the first crossing of the sphere of `radius` about 0. The discriminant is computed at the point of closest approach
 /// (\[haines2019\]), which keeps its accuracy for distant and for huge spheres.
 #[inline]
 pub(super) fn intersect(origin: DVec3, dir: DVec3, radius: f64, span: Span, crossings: Crossings) -> Option<f64> {

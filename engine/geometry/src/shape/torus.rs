@@ -16,9 +16,9 @@ impl Torus {
         g * g - 4.0 * self.major * self.major * (squared - z * z)
     }
 
-    /// First crossing in `span`. The quartic's critical points (roots of its cubic derivative) cut the ray into pieces on which f is
-    /// monotone; a piece holds a crossing exactly when f changes sign over it, judged by f itself and not by the
-    /// expanded polynomial, so the start's side of the surface is never in doubt.
+    /// Returns the first crossing in `span`. The quartic's critical points (roots of its cubic derivative) cut the ray into pieces
+    /// on which f is monotone. A piece contains a crossing exactly when f changes its sign over it. The sign is that of f itself
+    /// and not of the expanded polynomial, so the side of the surface on which the ray starts is never in doubt.
     pub fn intersect(&self, origin: DVec3, dir: DVec3, span: Span, crossings: Crossings) -> Option<f64> {
         let speed = dir.length();
         let d = dir / speed;
@@ -42,7 +42,7 @@ impl Torus {
         // f = s^4 + 2 g s^2 + g^2 - 4 R^2 ((1 - b^2) s^2 - 2 a b s + pp - a^2), since p . d = 0.
         let derivative = [2.0 * four_rr * a * b, 4.0 * g - 2.0 * four_rr * (1.0 - b * b), 0.0, 4.0];
         let f = |s: f64| {
-            // At the ray's own start the value of the given point counts, without the rounding of s.
+            // At the ray's own origin the value of the given point is used, without the rounding of s.
             if s + shift <= 0.0 { self.value(origin) } else { self.value(p + d * s) }
         };
         let critical = polynomial::cubic_roots_between(&derivative, start, end);

@@ -12,7 +12,7 @@ use femc_math::{
 };
 use std::sync::Arc;
 
-/// Splitmix numbers.
+/// Random number generator (splitmix).
 pub struct Random(pub u64);
 
 impl Random {
@@ -24,7 +24,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// In [0, 1).
+    /// Returns a number in [0, 1).
     pub fn unit(&mut self) -> f32 {
         (self.bits() >> 40) as f32 / 16_777_216.0
     }
@@ -49,7 +49,7 @@ pub fn triangle(a: Vec3A, b: Vec3A, c: Vec3A) -> TriangleInput {
     TriangleInput { vertices: [a, b, c], cull: Cull::None }
 }
 
-/// A world of one group at its own place.
+/// Returns a world of one group with the identity as its pose.
 pub fn world(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>) -> World {
     placed(triangles, shapes, Affine3A::IDENTITY)
 }
@@ -59,7 +59,7 @@ pub fn placed(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>, pose: Affi
     World::build(vec![InstanceInput { blas, pose: Pose::Fixed(pose) }])
 }
 
-/// A closed mesh: a sphere of bumps about 0, seen from outside counter-clockwise.
+/// Returns a closed mesh: a bumpy sphere about 0, counter-clockwise seen from outside.
 pub fn bumpy_sphere(rows: usize, columns: usize, radius: f32) -> Vec<TriangleInput> {
     let at = |i: usize, j: usize| {
         // The poles are exact, so that all triangles there share one vertex.
@@ -87,7 +87,7 @@ pub fn bumpy_sphere(rows: usize, columns: usize, radius: f32) -> Vec<TriangleInp
     triangles
 }
 
-/// Triangles of mixed sizes.
+/// Returns triangles of mixed sizes.
 pub fn soup(random: &mut Random, count: usize) -> Vec<TriangleInput> {
     (0..count)
         .map(|i| {
@@ -100,7 +100,7 @@ pub fn soup(random: &mut Random, count: usize) -> Vec<TriangleInput> {
         .collect()
 }
 
-/// A ray from around `bounds` to somewhere in it.
+/// Returns a ray from around `bounds` to a point in it.
 pub fn ray_at(random: &mut Random, bounds: &Aabb) -> Ray {
     let scale = bounds.size().max_element();
     let origin = bounds.center() + random.point(scale);

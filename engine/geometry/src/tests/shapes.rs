@@ -18,7 +18,8 @@ fn quadrics(random: &mut Random, scale: f32) -> Vec<Quadric> {
     ]
 }
 
-/// Negative inside, positive outside; distance-like near the surface. Zero for a ring.
+/// Returns a function that is negative inside, positive outside, and approximates the distance near the surface. It is zero for a
+/// ring.
 fn outside(quadric: &Quadric, p: DVec3) -> f64 {
     let axial = |origin: Vec3A, axis: DVec3| {
         let q = p - origin.as_dvec3();
@@ -42,7 +43,7 @@ fn outside(quadric: &Quadric, p: DVec3) -> f64 {
     }
 }
 
-/// Distances at which the ray crosses the surface, by stepping and bisection.
+/// Returns the distances at which the ray crosses the surface, by stepping and bisection.
 fn crossings(quadric: &Quadric, ray: &Ray, reach: f64) -> Vec<f64> {
     let (o, d) = (ray.origin.as_dvec3(), ray.dir.as_dvec3());
     let at = |t: f64| outside(quadric, o + d * t);
@@ -95,7 +96,7 @@ fn shapes_are_hit_where_stepping_along_the_ray_finds_them() {
                         assert!((0.0..=1.0).contains(&hit.u) && (0.0..=1.0).contains(&hit.v));
                     }
                     (None, None) => {}
-                    // Stepping misses what is thinner than a step; such a chord must be short.
+                    // Stepping misses anything thinner than a step; such a chord must be short.
                     (Some(hit), None) => {
                         let p = (ray.origin + ray.dir * (hit.t + 0.004)).as_dvec3();
                         assert!(outside(&quadric, p).abs() < 0.02, "{quadric:?} {ray:?} {hit:?}");
@@ -166,11 +167,11 @@ fn a_ray_that_leaves_a_convex_shape_outward_never_hits_it_again() {
                 let start = offset_origin(at.position, at.error, at.normal, dir);
                 let again = world.intersect(&Ray::new(start, dir));
                 tested += 1;
-                // Just above the surface a ray that sinks by less than this stays above a convex surface.
+                // A ray that starts just above a convex surface and sinks by less than this stays above it.
                 if kind == 4 || (side > 0.0 && kind != 5) {
                     assert_eq!(again, None, "{quadric:?} {at:?} {dir:?}");
                 } else if let Some(again) = again {
-                    // From inside, or around a torus: the way to the next crossing is no rounding error.
+                    // From inside, or around a torus, the distance to the next crossing must be larger than a rounding error.
                     let chord = if kind == 0 { side.abs() * scale * 0.2 } else { 0.0 };
                     assert!(again.t >= chord && again.t > 0.0, "{quadric:?} {at:?} {dir:?} {again:?}");
                     let far = start.as_dvec3() + dir.as_dvec3() * (0.5 * f64::from(again.t));
@@ -252,7 +253,7 @@ fn parameters_name_the_point_that_has_them() {
                 let share = quadric.share_below(uv[1]);
                 assert!((quadric.at_share(share) - uv[1]).abs() < 1e-9);
             }
-            // A step of the share has that share of the area, wherever it is.
+            // A step of the share covers that share of the area at any position.
             for share in [0.1, 0.3, 0.8] {
                 let area = patch(&quadric, share, 1e-4);
                 assert!((area / (quadric.area() * 1e-4) - 1.0).abs() < 1e-3, "{quadric:?}");
@@ -261,7 +262,7 @@ fn parameters_name_the_point_that_has_them() {
     }
 }
 
-/// Area of a band around a share of the area.
+/// Returns the area of a band around a share of the area.
 fn patch(quadric: &Quadric, share: f64, width: f64) -> f64 {
     let at = |u: f64, share: f64| quadric.point_at([u, quadric.at_share(share.clamp(0.0, 1.0))]).0;
     let step = 1e-4;

@@ -1,7 +1,7 @@
 use super::*;
 use crate::{Hit, offset_origin, segment};
 
-/// The closest hit by testing every triangle in f64.
+/// Returns the closest hit by testing every triangle in f64.
 fn brute_force(triangles: &[TriangleInput], ray: &Ray) -> Option<(f64, usize)> {
     let (o, d) = (ray.origin.as_dvec3(), ray.dir.as_dvec3());
     let mut best: Option<(f64, usize)> = None;
@@ -45,7 +45,7 @@ fn the_closest_hit_is_that_of_brute_force() {
                     let interaction = world.interaction(&ray, &hit);
                     assert!((interaction.position - p).abs().cmple(interaction.error * 2.0).all());
                 }
-                // An edge, within rounding: the f64 point must lie next to one.
+                // A hit on an edge, within rounding: the f64 point must lie next to one.
                 other => {
                     let (t, i) = expected.or(other.1.map(|h| (f64::from(h.t), h.primitive as usize))).expect("one hit");
                     let near = triangles[i].vertices.map(|v| (v - ray.at(t as f32)).length());
@@ -143,7 +143,7 @@ fn a_ray_that_leaves_a_triangle_never_hits_it_again() {
             }
             let mut dir = random.direction();
             if random.unit() < 0.5 {
-                // Grazing: nearly in the plane.
+                // A grazing ray, nearly in the plane.
                 dir = (dir - at.normal * dir.dot(at.normal) * (1.0 - 10.0f32.powi(-(random.bits() as i32 % 8))))
                     .normalize();
             }
@@ -241,7 +241,7 @@ fn the_tree_does_not_depend_on_the_number_of_threads() {
 
 #[test]
 fn a_chain_of_nested_triangles_does_not_overflow_the_stack() {
-    // Each triangle is larger than all before by a factor: binary trees of least area are chains.
+    // Each triangle is larger than all before by a factor, so binary trees of least area are chains.
     let triangles: Vec<TriangleInput> = (0..1000)
         .map(|i| {
             let s = 1.05f32.powi(i);

@@ -2,7 +2,7 @@ use super::*;
 use crate::{Facing, Quadric};
 use femc_math::glam::Vec3;
 
-/// The vector kernels and the portable ones on the same rays: every bit of every hit.
+/// Traces the same rays with the vector kernels and the portable ones, and compares every bit of every hit.
 fn agree(world: &World, random: &mut Random, rays: usize) -> usize {
     let portable = world.clone().portable();
     let mut hits = 0;

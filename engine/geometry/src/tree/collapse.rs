@@ -1,4 +1,4 @@
-//! From a binary tree to an eight-wide one.
+//! Conversion of a binary tree to an eight-wide one.
 
 use super::{
     Child, Node, STACK, Tree, WIDTH,
@@ -6,21 +6,21 @@ use super::{
 };
 use crate::Aabb;
 
-/// What may be a leaf, and what it costs in units of a node's test.
+/// Rule for leaves: the allowed primitives, and the cost in units of a node's test.
 pub(crate) trait LeafRule {
-    /// Whether primitives `a` and `b` may lie in one leaf (an equivalence).
+    /// Returns whether primitives `a` and `b` may lie in one leaf (an equivalence relation).
     fn may_share(&self, a: u32, b: u32) -> bool;
-    /// The most primitives in a leaf that holds primitive `a`.
+    /// Returns the maximum number of primitives in a leaf that contains primitive `a`.
     fn most(&self, a: u32) -> usize;
-    /// Cost of testing a leaf of `count` primitives like `a`.
+    /// Returns the cost of testing a leaf of `count` primitives like `a`.
     fn cost(&self, a: u32, count: usize) -> f32;
-    /// Makes a leaf of `primitives`.
+    /// Creates a leaf of `primitives`.
     fn leaf(&mut self, primitives: &[u32]) -> Child;
-    /// Forgets all leaves made.
+    /// Discards all created leaves.
     fn clear(&mut self);
 }
 
-/// A tree over `boxes` whose leaves `rule` makes, in the order in which a traversal would meet them.
+/// Builds a tree over `boxes`. `rule` creates the leaves, in the order in which a traversal meets them.
 pub(crate) fn collapse(boxes: &[Aabb], rule: &mut impl LeafRule) -> Tree {
     if boxes.is_empty() {
         return Tree { nodes: Vec::new(), root: Child::NONE, bounds: Aabb::EMPTY };
@@ -29,12 +29,13 @@ pub(crate) fn collapse(boxes: &[Aabb], rule: &mut impl LeafRule) -> Tree {
     if stack_need(&tree) <= STACK {
         return tree;
     }
-    // A degenerate input made a chain. The balanced tree is slower and never deep: fewer than 32 levels of at most 8 entries.
+    // A degenerate input produced a chain. The balanced tree is slower to trace, but never deep: fewer than 32 levels of at most 8
+    // entries.
     rule.clear();
     Plan::new(&sweep::build_balanced(boxes), rule).emit(rule)
 }
 
-/// Entries that a traversal may have on its stack, with the spare ones that a wide store touches.
+/// Returns the maximum number of entries on the stack of a traversal, including the spare ones that a wide store touches.
 fn stack_need(tree: &Tree) -> usize {
     let mut need = vec![0usize; tree.nodes.len()];
     for (index, node) in tree.nodes.iter().enumerate().rev() {
@@ -45,17 +46,17 @@ fn stack_need(tree: &Tree) -> usize {
     need.first().copied().unwrap_or(0) + WIDTH
 }
 
-/// What the subtree of a binary node becomes.
+/// Optimal use of the subtree of a binary node.
 #[derive(Clone, Copy)]
 struct Choice {
     /// Least cost of the subtree as at most `i + 1` children of a wide node.
     cost: [f32; WIDTH - 1],
-    /// Entry `i`: children of the left subtree when this one becomes `i + 1` children; 0: no better than `i` children. Entry 0 is for a node
-    /// of its own with `WIDTH` children.
+    /// Entry `i`: number of children of the left subtree when this one becomes `i + 1` children; 0 if that is no better than `i`
+    /// children. Entry 0 is for a separate node with `WIDTH` children.
     left: [u8; WIDTH - 1],
-    /// Primitives below; 0 when they cannot share a leaf.
+    /// Number of primitives below; 0 if they cannot share a leaf.
     shareable: u32,
-    /// Some primitive below.
+    /// Any primitive below.
     sample: u32,
     is_leaf: bool,
 }
@@ -65,7 +66,7 @@ impl Choice {
         Self { cost: [cost; WIDTH - 1], left: [0; WIDTH - 1], shareable: 1, sample: primitive, is_leaf: true }
     }
 
-    /// The choice for a node of half area `area` from those for its children.
+    /// Returns the choice for a node of half area `area` from those of its children.
     fn join(l: &Self, r: &Self, area: f32, rule: &impl LeafRule) -> Self {
         let distribute = |total: usize| {
             let split = |left: usize| l.cost[left - 1] + r.cost[total - left - 1];
@@ -136,7 +137,7 @@ impl<'a> Plan<'a> {
         Self { binary, choices }
     }
 
-    /// The binary nodes that become children when `index` becomes at most `slots` children.
+    /// Collects the binary nodes that become children when `index` becomes at most `slots` children.
     fn children(&self, index: u32, mut slots: usize, found: &mut Vec<u32>) {
         let choice = &self.choices[index as usize];
         while slots > 1 && choice.left[slots - 1] == 0 {
@@ -175,8 +176,8 @@ impl<'a> Plan<'a> {
             let (first, left) = (self.binary[index as usize].first, usize::from(self.choices[index as usize].left[0]));
             self.children(first, left, &mut found);
             self.children(first + 1, WIDTH - left, &mut found);
-            // A traversal in any order pops the last slot first: leaves before nodes, and large boxes, which are the likelier hits, before
-            // small ones.
+            // An any-order traversal pops the last slot first: leaves before nodes, and large boxes, which are more likely hits,
+            // before small ones.
             found.sort_by(|&a, &b| {
                 let key = |i: u32| (self.choices[i as usize].is_leaf, self.binary[i as usize].bounds.half_area());
                 let (ka, kb) = (key(a), key(b));

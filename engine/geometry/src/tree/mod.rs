@@ -1,9 +1,9 @@
 //! Eight-wide trees over boxes.
 //!
-//! A binary tree ([`sweep`]) is cut into nodes of up to eight children, and subtrees of
-//! up to eight triangles become one leaf block, by dynamic programming over the surface area cost (\[ylitie2017\]). Nodes keep
-//! full floats in a structure of arrays, 256 bytes: more memory than compressed nodes, but a box costs three vector operations
-//! a plane pair and no decoding.
+//! A binary tree ([`sweep`]) is cut into nodes of up to eight children, and subtrees of up to eight triangles become one leaf
+//! block. Dynamic programming over the surface area cost selects the cuts (\[ylitie2017\]). Nodes store full floats in a structure
+//! of arrays, 256 bytes. This takes more memory than compressed nodes, but a box test takes three vector operations per plane pair
+//! and no decoding.
 
 mod collapse;
 mod sweep;
@@ -12,10 +12,10 @@ pub(crate) use collapse::{LeafRule, collapse};
 
 use crate::Aabb;
 
-/// Eight numbers, one of each child or triangle; their number is the most children of a node and triangles in a leaf.
+/// Eight numbers, one for each child or triangle. [`WIDTH`] is the maximum number of children of a node and of triangles in a leaf.
 pub(crate) use femc_simd::{Lanes, WIDTH};
 
-/// The most entries that a traversal's stack holds.
+/// Maximum number of entries of a traversal's stack.
 pub(crate) const STACK: usize = 384;
 
 /// A reference to a child: a node, or a leaf of one of two kinds.
@@ -27,7 +27,7 @@ impl Child {
     const LEAF: u32 = 1 << 31;
     const SECOND: u32 = 1 << 30;
     const INDEX: u32 = Self::SECOND - 1;
-    /// No child: a tree without primitives.
+    /// No child: for a tree without primitives.
     pub const NONE: Self = Self(u32::MAX);
 
     pub fn node(index: usize) -> Self {
@@ -35,13 +35,13 @@ impl Child {
         Self(index as u32)
     }
 
-    /// A leaf of the first kind: a block of triangles, or an instance.
+    /// Returns a leaf of the first kind: a block of triangles, or an instance.
     pub fn first_kind(index: usize) -> Self {
         debug_assert!(index < Self::INDEX as usize);
         Self(Self::LEAF | index as u32)
     }
 
-    /// A leaf of the second kind: a shape.
+    /// Returns a leaf of the second kind: a shape.
     pub fn second_kind(index: usize) -> Self {
         debug_assert!(index < Self::INDEX as usize);
         Self(Self::LEAF | Self::SECOND | index as u32)
@@ -63,11 +63,11 @@ impl Child {
     }
 }
 
-/// Eight boxes and what is in them. Unused slots hold empty boxes, which no ray meets.
+/// Eight boxes and their children. Unused slots contain empty boxes, which no ray hits.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(crate) struct Node {
-    /// Planes by axis, then least and greatest.
+    /// Planes by axis, then the least and the greatest.
     pub planes: [[Lanes; 2]; 3],
     pub children: [Child; WIDTH],
 }
@@ -89,7 +89,7 @@ impl Node {
     }
 }
 
-/// An eight-wide tree. Traversal needs at most [`STACK`] entries: [`collapse`] sees to it.
+/// An eight-wide tree. [`collapse`] ensures that traversal needs at most [`STACK`] entries.
 #[derive(Clone, Debug)]
 pub(crate) struct Tree {
     pub nodes: Vec<Node>,

@@ -1,18 +1,18 @@
-//! Top-down building: every split of the centroids along every axis is weighed by surface area.
+//! Top-down builder: it evaluates every split of the centroids along every axis by surface area.
 //!
-//! The centroids are sorted once an axis; a split keeps the three orders by stable partition, so a level costs linear time. The
-//! two sides go on in parallel; nothing depends on the order in which they do. Chosen over obvhs' clustering with reinsertion by
-//! measurement: its trees trace 5 to 14 % more rays a second, and its time is bounded where that of clustering is not (stacks of equal
-//! boxes take quadratic time there). The price is half as much building time again on one thread.
+//! The centroids are sorted once per axis. A split preserves the three orders by a stable partition, so a level costs linear time.
+//! The two sides run in parallel, and the result does not depend on their order. It was chosen over obvhs' clustering with
+//! reinsertion by measurement. Its trees trace 5 to 14 % more rays per second. Its time is bounded, while clustering takes
+//! quadratic time for stacks of equal boxes. The price is a build time that is 1.5 times as long on one thread.
 
 use crate::Aabb;
 
-/// Ranges from this size on are split in parallel.
+/// Minimum size of ranges that are split in parallel.
 const PARALLEL: usize = 4096;
-/// Below this depth ranges are halved: nested boxes, each a little larger than the last, would else make a chain.
+/// Depth below which ranges are halved. Otherwise nested boxes, each slightly larger than the last, would make a chain.
 const DEEPEST: u32 = 48;
 
-/// A node: an inner one has its children at `first` and `first + 1`; a leaf holds primitive `first`.
+/// A node. An inner node has its children at `first` and `first + 1`; a leaf contains primitive `first`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BinaryNode {
     pub bounds: Aabb,
@@ -20,12 +20,12 @@ pub(super) struct BinaryNode {
     pub is_leaf: bool,
 }
 
-/// A binary tree with one primitive a leaf; node 0 is the root. Of no boxes: no nodes.
+/// Builds a binary tree with one primitive per leaf; node 0 is the root. Without boxes there are no nodes.
 pub(super) fn build(boxes: &[Aabb]) -> Vec<BinaryNode> {
     build_from(boxes, 0)
 }
 
-/// A tree of least depth.
+/// Builds a tree of minimum depth.
 pub(super) fn build_balanced(boxes: &[Aabb]) -> Vec<BinaryNode> {
     build_from(boxes, DEEPEST)
 }
@@ -54,14 +54,15 @@ fn before(keys: &[f32], a: u32, b: u32) -> std::cmp::Ordering {
     keys[a as usize].total_cmp(&keys[b as usize]).then(a.cmp(&b))
 }
 
-/// Some primitives, in the order of their centroids along each axis.
+/// A range of primitives, sorted by their centroids along each axis.
 struct Range<'a> {
     boxes: &'a [Aabb],
     orders: [&'a mut [u32]; 3],
 }
 
 impl Range<'_> {
-    /// Makes the subtree of this range: its root into `node`, the other 2 n - 2 nodes into `below`, the first of which is node number `first`.
+    /// Builds the subtree of this range: its root in `node`, the other 2 n - 2 nodes in `below`, whose first element is node number
+    /// `first`.
     fn split(self, node: &mut BinaryNode, below: &mut [BinaryNode], first: u32, depth: u32) {
         let count = self.orders[0].len();
         let bounds = self.orders[0].iter().fold(Aabb::EMPTY, |b, &i| b.union(self.boxes[i as usize]));
@@ -87,7 +88,7 @@ impl Range<'_> {
         }
     }
 
-    /// The axis and the number of primitives on the left of the cheapest split, if one is cheaper than none.
+    /// Returns the axis and the number of primitives on the left of the cheapest split, if a split is cheaper than none.
     fn cheapest(&self) -> Option<(usize, usize)> {
         let count = self.orders[0].len();
         let mut above = vec![0.0f32; count];
@@ -115,7 +116,7 @@ impl Range<'_> {
 }
 
 impl<'a> Range<'a> {
-    /// The first `left` primitives along `axis`, and the others, each in order along all axes.
+    /// Returns the first `left` primitives along `axis`, and the others, each sorted along all axes.
     fn partition(self, axis: usize, left: usize) -> (Self, Self) {
         let pivot = self.orders[axis][left];
         let key = |i: u32| self.boxes[i as usize].center()[axis];

@@ -1,4 +1,4 @@
-//! Images of the corpus: small files whose headers are mutated.
+//! Images of the corpus: small files with mutated headers.
 
 use super::Rng;
 
@@ -6,7 +6,7 @@ const JPEG: &[u8] = include_bytes!("../../tests/files/orange.jpg");
 const PNG: &[u8] = include_bytes!("../../tests/files/linear.png");
 const EXR: &[u8] = include_bytes!("../../tests/files/dotted.exr");
 
-/// Chunks of a PNG that state something.
+/// PNG chunks that affect the meaning of the pixels.
 const CHUNKS: &[(&[u8; 4], &[u8])] = &[
     (b"cICP", &[9, 13, 0, 0]),
     (b"sRGB", &[0]),
@@ -17,18 +17,18 @@ const CHUNKS: &[(&[u8; 4], &[u8])] = &[
     (b"eXIf", b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0"),
     (b"tRNS", &[0, 7, 0, 7, 0, 7]),
 ];
-/// Segments of a JPEG that state something.
+/// JPEG segments that affect the meaning of the pixels.
 const SEGMENTS: &[(u8, &[u8])] = &[
     (0xe1, b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0"),
     (0xe2, b"ICC_PROFILE\0\x01\x01profile"),
     (0xee, b"Adobe\0\x64\0\0\0\0\x01"),
     (0xe2, b"MPF\0MM\0*"),
 ];
-/// Names of attributes and channels of an EXR.
+/// Names of EXR attributes and channels.
 const NAMES: &[&[u8]] =
     &[b".R", b"Y\0", b"RY", b"A\0", b"chromaticities\0chromaticities\0", b"whiteLuminance\0float\0"];
 
-/// An image in one of the formats, changed in a few places.
+/// Returns an image in one of the formats, changed in a few places.
 pub fn image(rng: &mut Rng) -> Vec<u8> {
     match rng.below(3) {
         0 => png(rng),
@@ -55,7 +55,7 @@ pub fn image(rng: &mut Rng) -> Vec<u8> {
     }
 }
 
-/// A PNG; most have the right checksums.
+/// Returns a PNG; most have correct checksums.
 fn png(rng: &mut Rng) -> Vec<u8> {
     let mut bytes = PNG.to_vec();
     for _ in 0..rng.below(4) {
@@ -80,7 +80,7 @@ fn png(rng: &mut Rng) -> Vec<u8> {
     bytes
 }
 
-/// Changes up to five bytes from `first` on.
+/// Changes up to five bytes at or after `first`.
 fn flip(rng: &mut Rng, bytes: &mut [u8], first: usize) {
     for _ in 0..rng.below(6) {
         if bytes.len() > first {

@@ -1,10 +1,10 @@
-//! The corpus and its mutations; the tests use them, too.
+//! The fuzzing corpus and its mutations; the tests use them, too.
 
 mod images;
 
 use std::collections::BTreeMap;
 
-/// A small generator (SplitMix64), so that a finding is its seed.
+/// A small random number generator (SplitMix64). A seed reproduces a finding.
 pub struct Rng(u64);
 
 impl Rng {
@@ -20,7 +20,7 @@ impl Rng {
         z ^ (z >> 31)
     }
 
-    /// In `0..n`; 0 for an empty range.
+    /// Returns a number in `0..n`; 0 for an empty range.
     pub fn below(&mut self, n: usize) -> usize {
         (self.next() % n.max(1) as u64) as usize
     }
@@ -182,7 +182,7 @@ const WORDS: &[&str] = &[
     "\x1a",
 ];
 
-/// Bytes of a text in some encoding and with some line ends; most texts stay as they are.
+/// Encodes a text with some encoding and some line ends; most texts stay unchanged.
 fn encode(rng: &mut Rng, bytes: Vec<u8>) -> Vec<u8> {
     let how = rng.below(72);
     let Some(line_end) = ["\n", "\r", "\r\n"].get(how / 6) else { return bytes };
@@ -199,7 +199,7 @@ fn encode(rng: &mut Rng, bytes: Vec<u8>) -> Vec<u8> {
     }
 }
 
-/// A mutated scene `t.mgf` with the files that it names.
+/// Returns a mutated scene `t.mgf` with the files that it names.
 pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
     let mut scene = rng.pick(SCENES).as_bytes().to_vec();
     if rng.below(4) == 0 {
@@ -236,7 +236,7 @@ pub fn mutate(rng: &mut Rng) -> BTreeMap<String, Vec<u8>> {
     ])
 }
 
-/// Lines of random words.
+/// Returns lines of random words.
 pub fn soup(rng: &mut Rng) -> String {
     let mut text = String::from("v a =\nv b =\np 1 0 0\nn 0 0 1\nc warm =\nmedium fog =\npath drive = linear\nkey 0\n");
     for _ in 0..rng.below(30) {
@@ -278,7 +278,7 @@ fn change(rng: &mut Rng, text: &mut Vec<u8>) {
     }
 }
 
-/// Puts a word where some field is.
+/// Replaces a random field by a word.
 fn swap_field(rng: &mut Rng, text: &mut Vec<u8>) {
     let starts: Vec<usize> =
         (1..text.len()).filter(|&i| text[i - 1].is_ascii_whitespace() && !text[i].is_ascii_whitespace()).collect();

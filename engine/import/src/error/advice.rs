@@ -2,7 +2,7 @@
 
 use super::Kind;
 
-/// Lines that define a name.
+/// Returns example lines that define a name.
 fn definition(kind: Kind, name: &str) -> String {
     match kind {
         Kind::Vertex => format!("`v {name} =` and `p x y z`"),
@@ -14,7 +14,7 @@ fn definition(kind: Kind, name: &str) -> String {
     }
 }
 
-/// Advice on an undefined name.
+/// Returns advice on an undefined name.
 pub(super) fn undefined_advice(kind: Kind, name: &str, nearest: &[String]) -> String {
     let definition = definition(kind, name);
     match nearest {
@@ -26,8 +26,8 @@ pub(super) fn undefined_advice(kind: Kind, name: &str, nearest: &[String]) -> St
     }
 }
 
-/// Advice on a file that cannot be read.
-/// - `near`: name of a file in its folder.
+/// Returns advice on a file that cannot be read.
+/// - `near`: name of a similar file in its folder.
 pub(super) fn path_advice(near: Option<&str>) -> String {
     match near {
         Some(name) if name.contains(char::is_whitespace) => format!("did you mean `\"{name}\"` in the same folder?"),
@@ -36,7 +36,7 @@ pub(super) fn path_advice(near: Option<&str>) -> String {
     }
 }
 
-/// Fault and advice of a file name with blanks and without quotes.
+/// Returns fault and advice for an unquoted file name with blanks.
 pub(super) fn blank_name(entity: &str, name: &str, exists: bool) -> String {
     if exists {
         return format!("the file name `{name}` has blanks; put it in double quotes: `{entity} \"{name}\"`");
@@ -49,7 +49,7 @@ pub(super) fn blank_name(entity: &str, name: &str, exists: bool) -> String {
     )
 }
 
-/// Subject and verb of a sentence about the text that is left over.
+/// Returns subject and verb of a sentence about extra text.
 pub(super) fn left_over(found: &str, numbers: u64) -> String {
     match numbers {
         0 => format!("`{found}` follows"),

@@ -1,9 +1,10 @@
-//! LM-63 photometric files \[lm63\]: the editions of 1986, 1991, 1995, 2002 and 2019, types A, B and C.
+//! Reader of LM-63 photometric files \[lm63\]: the editions of 1986, 1991, 1995, 2002 and 2019, types A, B and C.
 //!
-//! The lines up to `TILT=` name the edition ([`header`]); all that follows is numbers in free form. The angle lists stay as the
-//! file has them (a file may cover a quadrant, a half or the whole sphere: the symmetry is the photometry type's); candela
-//! values get the file's multiplier and the factors of its edition. Data a little outside the standard with one clear meaning
-//! is taken with a warning. Whatever would make the luminous flux another one than the integral of the table is an error.
+//! The lines up to `TILT=` name the edition ([`header`]). The rest is numbers in free form. The angle lists stay as in the file: a
+//! file may cover a quadrant, a half or the whole sphere, and the photometry type defines the symmetry. Candela values are
+//! multiplied by the file's multiplier and the factors of its edition. Data slightly outside the standard that has one clear
+//! meaning is accepted with a warning. Anything that would make the luminous flux differ from the integral of the table is an
+//! error.
 
 mod angles;
 mod commas;
@@ -23,20 +24,20 @@ use header::Header;
 use numbers::Numbers;
 use std::{borrow::Cow, sync::Arc};
 
-/// A file as read.
+/// A photometric file as read.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Luminaire {
-    /// Without its place in a scene.
+    /// Photometry, without its location in a scene.
     pub photometry: Photometry,
-    /// How the lamp's output depends on the luminaire's tilt.
+    /// Dependence of the lamp's output on the luminaire's tilt.
     pub tilt: Option<Tilt>,
-    /// Warnings and notes about its data.
+    /// Warnings and notes about the data.
     pub remarks: Remarks,
-    /// A hint for a lamp that is not scaled: the file may be normalized to 1000 lm.
+    /// Hint that the file may be normalized to 1000 lm, for a lamp that no scene scales.
     pub normalized: Option<Remark>,
 }
 
-/// A place and a sentence.
+/// A position and a sentence.
 pub(crate) type Remark = (Position, Cow<'static, str>);
 
 /// Warnings and notes of a file.
@@ -64,14 +65,14 @@ impl Remarks {
 /// Output factors by tilt.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Tilt {
-    /// Degrees from the position of the measurement, strictly ascending.
+    /// Angles from the orientation during the measurement, degrees, strictly ascending.
     pub angles: Vec<f64>,
     /// Factors on the intensities.
     pub factors: Vec<f64>,
 }
 
 impl Tilt {
-    /// The factor at `angle` degrees: linear between the angles of the list, constant outside.
+    /// Returns the factor at `angle` degrees: linear between the listed angles, constant outside.
     pub fn factor(&self, angle: f64) -> f64 {
         let after = self.angles.partition_point(|&a| a <= angle);
         match (after.checked_sub(1), self.angles.get(after)) {
@@ -85,10 +86,10 @@ impl Tilt {
     }
 }
 
-/// Path and text of the file that a name in the text stands for.
+/// Path and text of a file named in the text.
 pub(crate) type Named = Result<(String, Arc<Vec<u8>>), Fault>;
 
-/// Reads a file, decoded. `open` gives the text of the tilt file that it names.
+/// Parses the decoded text of a file. `open` returns the tilt file that the text names.
 pub(crate) fn parse(path: &str, text: &[u8], open: &mut dyn FnMut(&str) -> Named) -> Result<Luminaire, ImportError> {
     let mut remarks = Remarks::default();
     let header = Header::read(path, text, &mut remarks)?;
@@ -159,7 +160,7 @@ fn intensities(
     remarks: &mut Remarks,
 ) -> Result<Vec<f64>, ImportError> {
     let mut negative = None;
-    // Not reserved: the count is the file's claim.
+    // No memory is reserved, because the count is only a claim of the file.
     let mut candela = Vec::new();
     for _ in 0..count {
         let value = numbers.number("intensity (cd)")? * factor;

@@ -1,11 +1,11 @@
-//! Statements of EXIF data about pixels: the orientation and the color space.
+//! Pixel properties in EXIF data: the orientation and the color space.
 
-/// Tags of EXIF that concern pixels.
+/// EXIF tags that affect pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Exif {
-    /// 1: as stored; 2 to 8: turned or mirrored.
+    /// Orientation: 1 as stored; 2 to 8 rotated or mirrored.
     orientation: Option<u16>,
-    /// 1: sRGB; 2: Adobe RGB; 65535: another one.
+    /// Color space: 1 sRGB; 2 Adobe RGB; 65535 another one.
     color_space: Option<u16>,
 }
 
@@ -18,7 +18,7 @@ impl Exif {
             let add = |sum: usize, byte: usize| sum << 8 | byte;
             Some(if little { bytes.rev().fold(0, add) } else { bytes.fold(0, add) })
         };
-        // The value of a tag that fits into its entry.
+        // Returns the value of a tag that fits into its entry.
         let tag = |directory: usize, wanted: usize| -> Option<(usize, usize)> {
             let count = number(directory, 2)?;
             let entry = (0..count).map(|i| directory + 2 + 12 * i).find(|&at| number(at, 2) == Some(wanted))?;
@@ -30,7 +30,7 @@ impl Exif {
         Self { orientation: short(first, 0x0112), color_space }
     }
 
-    /// Remarks on what is not used. A color profile in the file says more than the color space.
+    /// Returns remarks on the tags that are not used. A color profile in the file takes precedence over the color space.
     pub fn remarks(&self, is_color: bool, has_profile: bool) -> Vec<String> {
         let mut remarks = Vec::new();
         if let Some(orientation @ 2..=8) = self.orientation {
@@ -50,7 +50,7 @@ impl Exif {
 pub(super) mod tests {
     use super::*;
 
-    /// A TIFF structure with an orientation and a color space.
+    /// Returns a TIFF structure with an orientation and a color space.
     pub fn tiff(little: bool, orientation: u16, color_space: u16) -> Vec<u8> {
         let mut bytes = if little { b"II".to_vec() } else { b"MM".to_vec() };
         let two = |n: u16| if little { n.to_le_bytes() } else { n.to_be_bytes() };

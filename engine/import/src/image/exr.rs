@@ -1,4 +1,4 @@
-//! EXR: which channels are the colors, and where they are in the picture.
+//! Reader of EXR: selects the color channels and places them in the picture.
 
 use super::{
     Opened, Role, Source,
@@ -13,20 +13,20 @@ use exr::{
 };
 use std::io::Cursor;
 
-/// Pixels of a picture that need no data, and how often larger than its data a larger picture may be: a file of a few bytes
-/// must not fill the memory with black.
+/// Number of pixels up to which a picture may be mostly empty, and maximum ratio of a larger picture's area to its data. A file of
+/// a few bytes must not fill the memory with black.
 const FREE_AREA: usize = 1 << 22;
 const MOST_EMPTY: usize = 64;
-/// Channels that a remark names.
+/// Maximum number of channels that a remark names.
 const NAMED: usize = 8;
 
-/// The channels of the colors.
+/// Names of the color channels.
 #[derive(Clone, Debug, PartialEq)]
 struct Picked {
-    /// Red, green and blue; three times the gray one.
+    /// Red, green and blue; for gray images, the gray channel three times.
     names: [String; 3],
     alpha: String,
-    /// The layer, if the colors are of one.
+    /// Layer of the colors, if they belong to one.
     layer: Option<String>,
 }
 
@@ -74,7 +74,7 @@ fn channel_names(header: &Header) -> Vec<String> {
     header.channels.list.iter().map(|channel| channel.name.to_string()).collect()
 }
 
-/// Up to a few names of channels, and how many more there are.
+/// Lists the names of some channels and the number of the rest.
 fn listed<'n>(names: impl Iterator<Item = &'n str> + Clone) -> String {
     let shown: Vec<String> = names.clone().take(NAMED).map(|name| format!("`{}`", printable(name))).collect();
     let more = names.count().saturating_sub(NAMED);
@@ -82,7 +82,8 @@ fn listed<'n>(names: impl Iterator<Item = &'n str> + Clone) -> String {
     format!("{}{more}", shown.join(", "))
 }
 
-/// The part and the channels to read: plain ones, ones that begin with a dot, or those of the file's only layer with colors.
+/// Selects the part and the channels to read: names without a layer, names that begin with a dot, or those of the file's only layer
+/// with colors.
 fn pick(parts: &[Vec<String>], role: Role) -> Option<(usize, Picked)> {
     for prefix in ["", "."] {
         let found = parts.iter().enumerate().find_map(|(i, names)| Some((i, pick_in(names, prefix, role)?)));
@@ -102,7 +103,7 @@ fn pick(parts: &[Vec<String>], role: Role) -> Option<(usize, Picked)> {
     if found.len() == 1 { found.pop() } else { None }
 }
 
-/// The channels of colors whose names begin with `prefix`.
+/// Returns the color channels whose names begin with `prefix`.
 fn pick_in(names: &[String], prefix: &str, role: Role) -> Option<Picked> {
     let named = |wanted: &str| {
         let is = |name: &&String, exact: bool| {
@@ -116,7 +117,7 @@ fn pick_in(names: &[String], prefix: &str, role: Role) -> Option<Picked> {
         return Some(Picked { names: [r, g, b].map(Clone::clone), alpha, layer: None });
     }
     let y = named("Y").filter(|_| role == Role::Color)?;
-    // With chroma it is not gray, and beside X it is a coordinate.
+    // Y beside chroma channels is not gray, and beside X it is a coordinate.
     let is_gray = ["RY", "BY", "X"].iter().all(|other| named(other).is_none());
     is_gray.then(|| Picked { names: [y, y, y].map(Clone::clone), alpha, layer: None })
 }
@@ -124,7 +125,7 @@ fn pick_in(names: &[String], prefix: &str, role: Role) -> Option<Picked> {
 /// A width and its pixels.
 type Data = (usize, Vec<[f32; 3]>);
 
-/// The pixels of the data window, and whether all of them are opaque.
+/// Reads the pixels of the data window. Also returns whether all of them are opaque.
 fn read(source: &Source<'_>, picked: &Picked) -> Result<(Data, bool), Fault> {
     let fault = |error: exr::error::Error| source.bad(error.to_string());
     let reader = exr_prelude::read().no_deep_data().largest_resolution_level();
@@ -150,11 +151,11 @@ fn read(source: &Source<'_>, picked: &Picked) -> Result<(Data, bool), Fault> {
     Ok(((storage.width, storage.pixels), storage.is_opaque))
 }
 
-/// Pixels that are being read.
+/// Pixels while they are read.
 struct Storage {
     width: usize,
     pixels: Vec<[f32; 3]>,
-    /// Whether all of them are opaque.
+    /// Whether all pixels are opaque.
     is_opaque: bool,
 }
 
@@ -169,7 +170,7 @@ impl Storage {
     }
 }
 
-/// Statements of the file that are not used.
+/// Returns remarks on the data and attributes of the file that are not used.
 fn unused(header: &Header, parts: &[Header], picked: &Picked) -> Vec<String> {
     let mut remarks = Vec::new();
     if parts.len() > 1 {
@@ -211,7 +212,7 @@ fn unused(header: &Header, parts: &[Header], picked: &Picked) -> Vec<String> {
     remarks
 }
 
-/// The map from the file's primaries.
+/// Returns the matrix from the file's primaries to Rec.709.
 fn primaries(header: &Header, role: Role, picked: &Picked, remarks: &mut Vec<String>) -> Option<Matrix> {
     let stated = header.shared_attributes.chromaticities?;
     if role == Role::Normals || picked.names[0] == picked.names[1] {
@@ -225,7 +226,8 @@ fn primaries(header: &Header, role: Role, picked: &Picked, remarks: &mut Vec<Str
     })
 }
 
-/// The picture of the display window: black outside of the data window, and without what is outside of the picture.
+/// Places the data window into the display window. Pixels outside the data window are black, and data outside the display window is
+/// dropped.
 fn placed(
     source: &Source<'_>,
     header: &Header,

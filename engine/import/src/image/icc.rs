@@ -1,8 +1,8 @@
-//! The name of a color profile.
+//! Names of color profiles.
 
 use super::printable;
 
-/// The description of an ICC profile; `None`: it has none that can be read.
+/// Returns the description of an ICC profile; `None` if it has no readable one.
 pub(super) fn description(profile: &[u8]) -> Option<String> {
     let number = |at: usize| {
         let four = profile.get(at..at.checked_add(4)?)?;
@@ -16,7 +16,7 @@ pub(super) fn description(profile: &[u8]) -> Option<String> {
             let text = profile.get(start + 12..(start + 12).checked_add(number(start + 8)?)?)?;
             String::from_utf8_lossy(text).into_owned()
         }
-        // The first of its translations, in UTF-16.
+        // The first translation, in UTF-16.
         b"mluc" => {
             let from = start.checked_add(number(start + 24)?)?;
             let text = profile.get(from..from.checked_add(number(start + 20)?)?)?;
@@ -28,12 +28,12 @@ pub(super) fn description(profile: &[u8]) -> Option<String> {
     Some(printable(&text)).filter(|text| !text.is_empty())
 }
 
-/// Whether a profile is sRGB by its name.
+/// Returns whether a profile is sRGB, by its name.
 pub(super) fn is_srgb(name: &str) -> bool {
     name.to_ascii_lowercase().contains("srgb")
 }
 
-/// That a profile is not applied, unless it is sRGB.
+/// Returns a remark that the profile is not applied, unless it is sRGB.
 pub(super) fn remark(name: &str, instead: &str) -> Option<String> {
     (!is_srgb(name)).then(|| format!("color profile `{name}` is not applied: values are read as {instead}"))
 }
@@ -42,7 +42,7 @@ pub(super) fn remark(name: &str, instead: &str) -> Option<String> {
 pub(super) mod tests {
     use super::*;
 
-    /// A profile with nothing but a description, of either kind.
+    /// Returns a profile that contains only a description, of either kind.
     pub fn profile(name: &str, is_unicode: bool) -> Vec<u8> {
         let mut bytes = vec![0; 128];
         bytes.extend([0, 0, 0, 1]);

@@ -1,4 +1,4 @@
-//! JPEG: values by the segments before the first scan.
+//! Reader of JPEG: interprets values by the segments before the first scan.
 
 use super::{Opened, Role, Source, exif::Exif, icc, transfer::Transfer};
 use crate::Fault;
@@ -7,15 +7,15 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// Statements of a file's segments about its pixels.
+/// Pixel properties in a file's segments.
 #[derive(Debug, Default)]
 struct Stated {
     /// Number of components.
     components: u8,
-    /// Whether the components are called `R`, `G`, `B`.
+    /// Whether the components are named `R`, `G`, `B`.
     is_named_rgb: bool,
     has_jfif: bool,
-    /// Color transform of Adobe's segment: 0: none; 1: YCbCr; 2: YCCK.
+    /// Color transform of Adobe's segment: 0 none; 1 YCbCr; 2 YCCK.
     adobe: Option<u8>,
     /// Name of the color profile.
     profile: Option<String>,
@@ -82,7 +82,7 @@ impl Stated {
                     self.exif = Exif::read(tiff);
                 }
             }
-            // A profile may be in several segments; its name is in the first one.
+            // A profile may span several segments; its name is in the first one.
             0xe2 => {
                 if let Some([1, _, profile @ ..]) = data.strip_prefix(b"ICC_PROFILE\0") {
                     self.profile = Some(icc::description(profile).unwrap_or_else(|| "(unnamed)".to_owned()));

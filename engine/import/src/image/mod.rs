@@ -1,10 +1,10 @@
-//! Image files to linear Rec.709.
+//! Decoding of image files to linear Rec.709.
 //!
-//! A file's header says what its values mean (`docs/formats.md` lists the fields): each statement is used, or a remark says
-//! that it is not. PNG and JPEG without such statements hold sRGB (\[iec61966\]), EXR holds linear Rec.709. Normal maps are not
-//! colors: their values go from [0, 1] to [-1, 1] as they stand. Sizes are checked in the file's header, before any pixel is
-//! decoded. What a file decodes to is the same on every machine: JPEG by integers alone, and EXR files whose compression is
-//! decoded by whatever the processor has (DWA) are refused.
+//! A file's header defines the meaning of its values (`docs/formats.md` lists the fields). Each header field is either used, or a
+//! remark says that it is not. Without such fields, PNG and JPEG are sRGB (\[iec61966\]), and EXR is linear Rec.709. Normal maps
+//! are not colors: their values are mapped from [0, 1] to [-1, 1] without a transfer function. Sizes are checked in the header
+//! before any pixel is decoded. Decoding gives the same result on every machine: JPEG uses only integers, and EXR files with DWA
+//! compression are rejected, because its decoder depends on the processor's features.
 
 mod exif;
 mod exr;
@@ -18,14 +18,14 @@ use crate::Fault;
 use femc_scene::Image;
 use primaries::Matrix;
 
-/// Most pixels along one side.
+/// Maximum number of pixels along one side.
 const MAX_SIDE: u32 = 32_768;
-/// Most memory of all images of a scene, bytes: one of the largest size, and then some.
+/// Maximum memory of all images of a scene, bytes: somewhat more than one image of the largest size.
 const MAX_MEMORY: u64 = 16 << 30;
-/// A component below this is outside Rec.709, not rounded.
+/// Component value below which a color is outside Rec.709; smaller negative values come from rounding.
 const OUTSIDE: f32 = -1e-4;
 
-/// What an image is for.
+/// Use of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Role {
     /// Factors on colors.
@@ -34,40 +34,40 @@ pub(crate) enum Role {
     Normals,
 }
 
-/// An image and what was odd about it.
+/// A decoded image and its remarks.
 #[derive(Debug)]
 pub(crate) struct Decoded {
     pub image: Image,
-    /// Statements of the file that are not used, and values that were changed.
+    /// Header fields that are not used, and values that were changed.
     pub remarks: Vec<String>,
 }
 
-/// Bytes of a decoded image.
+/// Returns the memory of a decoded image, bytes.
 pub(crate) fn memory(width: u32, height: u32) -> u64 {
     u64::from(width) * u64::from(height) * 12
 }
 
-/// A file that is being decoded.
+/// A file while it is decoded.
 struct Source<'b> {
     path: &'b str,
     bytes: &'b [u8],
     role: Role,
-    /// Memory that other images take, bytes.
+    /// Memory used by other images, bytes.
     used: u64,
 }
 
-/// The values of a file: of colors linear, in the file's primaries.
+/// Values of a file. Colors are linear, in the file's primaries.
 struct Opened {
     width: u32,
     height: u32,
     pixels: Vec<[f32; 3]>,
-    /// To Rec.709; `None`: they are in Rec.709.
+    /// Matrix to Rec.709; `None` if the values are already in Rec.709.
     to_rec709: Option<Matrix>,
     remarks: Vec<String>,
 }
 
 impl Source<'_> {
-    /// The fault of a file that cannot be used.
+    /// Returns the fault of a file that cannot be used.
     fn bad(&self, reason: impl Into<String>) -> Fault {
         self.advised(reason, "save it again as PNG, JPEG or EXR")
     }
@@ -76,7 +76,7 @@ impl Source<'_> {
         Fault::BadFile { path: self.path.to_owned(), reason: reason.into(), advice }
     }
 
-    /// Fails unless an image of this size fits.
+    /// Checks that an image of this size fits the limits.
     fn check_size(&self, width: usize, height: usize) -> Result<(u32, u32), Fault> {
         let side = |n: usize| u32::try_from(n).ok().filter(|n| (1..=MAX_SIDE).contains(n));
         let (Some(w), Some(h)) = (side(width), side(height)) else {
@@ -89,7 +89,7 @@ impl Source<'_> {
     }
 }
 
-/// Decodes a file. `used` is the memory that other images take, bytes.
+/// Decodes a file. `used` is the memory used by other images, bytes.
 pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<Decoded, Fault> {
     let source = Source { path, bytes, role, used };
     let opened = match bytes {
@@ -125,12 +125,12 @@ pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<
     Ok(Decoded { image, remarks })
 }
 
-/// Red, green and blue of a pixel of 1 to 4 channels; gray ones repeat.
+/// Returns red, green and blue of a pixel with 1 to 4 channels; gray is repeated.
 fn spread(channels: usize, at: impl Fn(usize) -> f32) -> [f32; 3] {
     if channels < 3 { [at(0); 3] } else { [at(0), at(1), at(2)] }
 }
 
-/// A name out of a file, fit for a message: without control characters, and short.
+/// Makes a name from a file printable: removes control characters and shortens it.
 fn printable(name: &str) -> String {
     name.chars().filter(|c| !c.is_control()).take(64).collect::<String>().trim().to_owned()
 }

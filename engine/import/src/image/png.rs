@@ -1,4 +1,5 @@
-//! PNG: values by the color chunks of the specification's third edition, cICP before iCCP before sRGB before gAMA and cHRM.
+//! Reader of PNG: interprets values by the color chunks of the specification's third edition, in the order of precedence cICP,
+//! iCCP, sRGB, then gAMA and cHRM.
 
 use super::{
     Opened, Role, Source,
@@ -11,10 +12,10 @@ use super::{
 use crate::Fault;
 use std::io::Cursor;
 
-/// The gamma of gAMA that stands for sRGB, and the distance from it that is one of digits (1 %).
+/// The gAMA value that stands for sRGB, and the tolerance for rounded digits (1 %).
 const SRGB_GAMMA: [u32; 2] = [45_455, 455];
 
-/// Statements of a file's chunks about its values.
+/// Properties of the values in a file's chunks.
 #[derive(Debug, Default, PartialEq)]
 struct Stated {
     /// Primaries, transfer function, matrix and range by ITU-T H.273.
@@ -22,7 +23,7 @@ struct Stated {
     /// Name of the color profile.
     profile: Option<String>,
     srgb: bool,
-    /// 100000 times the exponent of encoding.
+    /// Encoding exponent times 100000.
     gamma: Option<u32>,
     chromaticities: Option<Chromaticities>,
     animated: bool,
@@ -34,7 +35,7 @@ struct Stated {
 pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
     let fault = |error: png::DecodingError| source.bad(error.to_string());
     let mut decoder = png::Decoder::new(Cursor::new(source.bytes));
-    // Palettes and fewer than 8 bits become whole bytes; 16 bits stay.
+    // Palettes and depths below 8 bits are expanded to whole bytes; 16 bits stay.
     decoder.set_transformations(png::Transformations::EXPAND);
     let mut reader = decoder.read_info().map_err(fault)?;
     let (width, height) = source.check_size(reader.info().width as usize, reader.info().height as usize)?;
@@ -77,7 +78,7 @@ pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
     Ok(Opened { width, height, pixels, to_rec709, remarks })
 }
 
-/// Reading of a file's values.
+/// Interpretation of a file's values.
 struct Meaning {
     transfer: Transfer,
     range: Range,
@@ -91,17 +92,17 @@ impl Default for Meaning {
     }
 }
 
-/// Range of values between black and white.
+/// Range of values from black to white.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Range {
-    /// The least and the largest.
+    /// From the least to the largest value.
     Full,
-    /// 16 and 235 of 8 bits, as in video.
+    /// From 16 to 235 of 8 bits, as in video.
     Narrow,
 }
 
 impl Range {
-    /// A value of `0..=most` in [0, 1].
+    /// Maps a value of `0..=most` to [0, 1].
     fn of(self, value: f64, most: f64) -> f64 {
         match self {
             Self::Full => value / most,
@@ -134,14 +135,14 @@ impl Stated {
         stated
     }
 
-    /// Takes what a color chunk states; false: it states nothing that can be used.
+    /// Reads a color chunk. Returns false if it contains nothing that can be used.
     fn take(&mut self, kind: &[u8; 4], data: &[u8]) -> bool {
         let number = |i: usize| {
             let four = data.get(4 * i..4 * i + 4)?;
             Some(u32::from_be_bytes(four.try_into().ok()?))
         };
         match (kind, data.len()) {
-            // PNG holds red, green and blue: it has no matrix.
+            // PNG contains red, green and blue, so it has no matrix.
             (b"cICP", 4) if data[2] == 0 && data[3] <= 1 => self.cicp = Some([data[0], data[1], data[2], data[3]]),
             (b"iCCP", _) => {
                 let name = data.iter().take(80).position(|&byte| byte == 0).unwrap_or(0);
@@ -159,7 +160,7 @@ impl Stated {
         kind != b"gAMA" || self.gamma.is_some()
     }
 
-    /// Reading of color values, by the statement that goes before the others.
+    /// Returns the interpretation of color values, by the chunk with the highest precedence.
     fn meaning(&self, source: &Source<'_>) -> Result<Meaning, Fault> {
         let mut meaning = Meaning { remarks: self.damaged.clone(), ..Meaning::default() };
         if let Some([primaries, transfer, _, range]) = self.cicp {
@@ -202,7 +203,7 @@ impl Meaning {
     }
 }
 
-/// The transfer function of that code of ITU-T H.273.
+/// Returns the transfer function of a code of ITU-T H.273.
 fn cicp_transfer(code: u8, source: &Source<'_>, remarks: &mut Vec<String>) -> Result<Transfer, Fault> {
     let name = match code {
         1 | 6 | 14 | 15 => return Ok(Transfer::Bt709),
@@ -222,7 +223,7 @@ fn cicp_transfer(code: u8, source: &Source<'_>, remarks: &mut Vec<String>) -> Re
     Err(source.advised(reason, "save it again as EXR, or as PNG with sRGB or linear values"))
 }
 
-/// The primaries of that code of ITU-T H.273.
+/// Returns the primaries of a code of ITU-T H.273.
 fn cicp_primaries(code: u8) -> Option<Chromaticities> {
     const D65: [f64; 2] = [0.3127, 0.3290];
     const C: [f64; 2] = [0.310, 0.316];
@@ -241,7 +242,7 @@ fn cicp_primaries(code: u8) -> Option<Chromaticities> {
     })
 }
 
-/// The next chunk: its kind, its data and whether its checksum is right.
+/// Returns the next chunk: its kind, its data and whether its checksum is correct.
 fn next_chunk<'b>(rest: &mut &'b [u8]) -> Option<(&'b [u8; 4], &'b [u8], bool)> {
     let (length, tail) = rest.split_first_chunk::<4>()?;
     let length = usize::try_from(u32::from_be_bytes(*length)).ok()?;
@@ -249,12 +250,12 @@ fn next_chunk<'b>(rest: &mut &'b [u8]) -> Option<(&'b [u8; 4], &'b [u8], bool)> 
     let (kind, data) = summed.split_first_chunk::<4>()?;
     let (checksum, tail) = tail[summed.len()..].split_first_chunk::<4>()?;
     *rest = tail;
-    // Pixels are the decoder's business.
+    // The decoder checks the pixel data.
     let is_sound = kind == b"IDAT" || crc32(summed) == u32::from_be_bytes(*checksum);
     Some((kind, data, is_sound))
 }
 
-/// The checksum of PNG.
+/// Returns the checksum used by PNG.
 pub(super) fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0u32, |crc, &byte| {
         (0..8).fold(crc ^ u32::from(byte), |c, _| if c & 1 == 1 { (c >> 1) ^ 0xedb8_8320 } else { c >> 1 })

@@ -1,14 +1,14 @@
-//! Primaries of a file to those of Rec.709.
+//! Conversion from the primaries of a file to those of Rec.709.
 //!
-//! White is adapted by Bradford's transform (\[lam1985\]), so that the file's white becomes (1, 1, 1): a texture multiplies a
-//! reflectance, and white stays what reflects all.
+//! The Bradford transform (\[lam1985\]) adapts the white point, so that the file's white becomes (1, 1, 1). A texture multiplies a
+//! reflectance, and white must still reflect all light.
 
 /// CIE x and y of red, green, blue and white.
 pub(super) type Chromaticities = [[f64; 2]; 4];
 
-/// Those of Rec.709 and sRGB.
+/// Primaries and white of Rec.709 and sRGB.
 pub(super) const REC709: Chromaticities = [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.3127, 0.3290]];
-/// Difference from Rec.709 that is one of digits.
+/// Difference from Rec.709 that counts as rounding of digits.
 const DIGITS: f64 = 1e-3;
 
 const BRADFORD: [[f64; 3]; 3] = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
@@ -18,8 +18,8 @@ const BRADFORD: [[f64; 3]; 3] = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.
 pub(super) struct Matrix([[f64; 3]; 3]);
 
 impl Matrix {
-    /// From the primaries of a file to Rec.709; `Ok(None)` where they are those of Rec.709, an error where they span no
-    /// space of colors.
+    /// Returns the map from the primaries of a file to Rec.709. Returns `Ok(None)` if they are those of Rec.709, and an error if
+    /// they span no color space.
     pub fn to_rec709(from: Chromaticities) -> Result<Option<Self>, Degenerate> {
         let near = |a: [f64; 2], b: [f64; 2]| (0..2).all(|k| (a[k] - b[k]).abs() <= DIGITS);
         if (0..4).all(|i| near(from[i], REC709[i])) {
@@ -37,22 +37,22 @@ impl Matrix {
         if whole.iter().flatten().all(|x| x.abs() < 1e6) { Ok(Some(Self(whole))) } else { Err(Degenerate) }
     }
 
-    /// The color in Rec.709.
+    /// Returns the color in Rec.709.
     pub fn apply(&self, color: [f32; 3]) -> [f32; 3] {
         times(&self.0, color.map(f64::from)).map(|x| x as f32)
     }
 }
 
-/// Primaries that span no space of colors.
+/// Error for primaries that span no color space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Degenerate;
 
-/// XYZ of a chromaticity at luminance 1.
+/// Returns XYZ of a chromaticity at luminance 1.
 fn xyz([x, y]: [f64; 2]) -> [f64; 3] {
     [x / y, 1.0, (1.0 - x - y) / y]
 }
 
-/// From colors of these primaries to XYZ; (1, 1, 1) has the chromaticity of white.
+/// Returns the map from colors of these primaries to XYZ; (1, 1, 1) has the chromaticity of white.
 fn to_xyz([red, green, blue, white]: Chromaticities) -> Result<[[f64; 3]; 3], Degenerate> {
     let sum_one = |[x, y]: [f64; 2]| [x, y, 1.0 - x - y];
     let columns = [red, green, blue].map(sum_one);
@@ -71,7 +71,7 @@ fn product(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
 }
 
 fn inverse(m: &[[f64; 3]; 3]) -> Result<[[f64; 3]; 3], Degenerate> {
-    // Rows of cofactors; indices run cyclically, which gives the signs.
+    // Rows of cofactors. Cyclic indices give the signs.
     let cofactor = |i: usize, j: usize| {
         let (a, b, c, d) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
         m[a][c] * m[b][d] - m[a][d] * m[b][c]
@@ -96,7 +96,7 @@ mod tests {
         for (row, wanted) in matrix.0.iter().flatten().zip(known.iter().flatten()) {
             assert!((row - wanted).abs() < 1e-4, "{:?}", matrix.0);
         }
-        // ACES AP0, with a white of its own.
+        // ACES AP0 has a different white point.
         let aces = [[0.7347, 0.2653], [0.0, 1.0], [0.0001, -0.077], [0.32168, 0.33767]];
         let white = Matrix::to_rec709(aces).unwrap().unwrap().apply([1.0; 3]);
         assert!(white.iter().all(|x| (x - 1.0).abs() < 1e-6), "{white:?}");

@@ -1,22 +1,22 @@
-//! One import lists all errors of a scene, and none that only follows from another one.
+//! Tests that one import lists all errors of a scene, and none that only follows from another one.
 
 use crate::{broken::TABLE, common::bundle};
 use femc_import::{Fault, ImportErrors, MAX_ERRORS, load, load_or_list};
 use proptest::prelude::*;
 
-/// Errors of the scene `t.mgf` beside these files.
+/// Returns the errors of the scene `t.mgf` beside these files.
 fn errors(text: &str, files: &[(&str, &str)]) -> ImportErrors {
     let files = [&[("t.mgf", text)][..], files].concat();
     load_or_list(&bundle(&files), "t.mgf").expect_err("a scene with errors")
 }
 
-/// Places of the errors of a scene, `line:column`.
+/// Returns the positions of the errors of a scene, `line:column`.
 fn places(text: &str) -> Vec<String> {
     errors(text, &[]).errors.iter().map(|error| format!("{}:{}", error.at.line, error.at.column)).collect()
 }
 
-/// Pieces of a scene with faults: a `!` before a line stands for each error of it. `#` stands for a number that no other piece has. What
-/// comes after an error in a piece uses what the faulty line should have defined.
+/// Pieces of a scene with faults. Each `!` before a line stands for one error of the line. `#` stands for a number that no other
+/// piece has. The lines after an error in a piece use the name that the faulty line should have defined.
 const PIECES: &[&str] = &[
     "!m no#\nm no#\n\trd .5\nsph a 1",
     "!m copy# = no#\n\trd .5\nm copy#\nsph a 1",
@@ -54,7 +54,7 @@ const PIECES: &[&str] = &[
     "!mbox gas 0 0 0 # 1 0\n!xf -s 0\nmglobal gas\nxf",
 ];
 
-/// The line of each planted error.
+/// Returns the line of each planted error.
 fn planted(text: &str) -> Vec<u32> {
     let count = |line: &str| line.len() - line.trim_start_matches('!').len();
     (1..).zip(text.lines()).flat_map(|(n, line)| std::iter::repeat_n(n, count(line))).collect()
@@ -68,7 +68,7 @@ proptest! {
         let mut text = String::from("medium gas =\nsigma_s 1\nv a =\nv b =\n\tp 1 0 0\nm plain =\n\trd .5\n");
         let mut lamp_is_bad = false;
         for (n, &pick) in picks.iter().enumerate() {
-            // The error of a file is said where the file is used first.
+            // The error of a file is reported where the file is used first.
             let piece = PIECES[pick];
             let piece = if lamp_is_bad && piece.contains("bad.ies") { piece.replace('!', "") } else { piece.to_owned() };
             lamp_is_bad |= piece.contains("bad.ies");
@@ -109,7 +109,7 @@ fn each_piece_alone_is_the_law_in_small_and_the_first_error_met_is_that_of_a_pla
 #[test]
 fn a_scene_with_one_fault_lists_one() {
     for (what, text, at, _) in TABLE {
-        // A name with blanks, an unclosed object and the like come to the same; the table has one error a scene.
+        // A name with blanks, an unclosed object and similar faults. The table has one error per scene.
         let listed = errors(
             text,
             &[

@@ -1,8 +1,8 @@
-//! Broken scenes: each gives one error that names file, line and column, and says what is wrong.
+//! Tests of broken scenes: each gives one error that names file, line and column, and the fault.
 
 use crate::common::try_files;
 
-/// What is broken; the scene `t.mgf`; where the error is; a part of what it says.
+/// Name of the case; the scene `t.mgf`; position of the error; a part of its message.
 pub const TABLE: &[(&str, &str, &str, &str)] = &[
     // Numbers and arguments.
     ("word for a number", "v a =\np 1 two 3", "t.mgf:2:5", "`two` is not a number"),
@@ -34,7 +34,7 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
     ("undefined path", "xf -path drive", "t.mgf:1:10", "undefined path `drive`"),
     ("undefined camera path", "camera c =\nalong drive", "t.mgf:2:7", "undefined path `drive`"),
     ("undefined color in a mixture", "c a =\ncmix 1 a 1 b", "t.mgf:2:12", "undefined color `b`"),
-    // Colours.
+    // Colors.
     ("negative chromaticity", "cxy .3 -.1", "t.mgf:1:8", "y is -0.1; it must be in [0, 1]"),
     ("chromaticity outside the diagram", "cxy .7 .6", "t.mgf:1:5", "x + y is 1.2999"),
     ("spectrum without a positive value", "cspec 400 700 -1 0 -1", "t.mgf:1:1", "no visible light"),
@@ -213,7 +213,7 @@ fn includes_that_double_at_each_level_are_stopped_by_their_volume() {
     assert!(error.to_string().contains("the includes add up to more than 1000000 files"), "{error}");
 }
 
-/// Files that say they are huge, and fail the test if they are read.
+/// Files that claim a huge size, and fail the test if they are read.
 struct Huge;
 
 impl femc_import::Files for Huge {

@@ -1,4 +1,4 @@
-//! What contexts, colours, materials, media, cameras and time mean.
+//! Tests of contexts, colors, materials, media, cameras and time.
 
 use crate::common;
 use crate::common::{SQUARE, scene, try_files, try_scene};
@@ -119,7 +119,7 @@ fn a_chromaticity_without_luminance_becomes_the_nearest_visible_one_with_a_warni
     assert!(loaded.warnings[0].to_string().starts_with("t.mgf:2:1: chromaticity (0.4, 0) has no luminance"));
 }
 
-/// The color since `sigma_s` tints absorption; that before `sigma_s` tints scattering alone; chromaticities tint neither.
+/// A color given after `sigma_s` tints absorption; one given before `sigma_s` tints only scattering; chromaticities tint neither.
 #[test]
 fn absorption_is_tinted_by_a_raw_color_of_its_own() {
     let media = [

@@ -1,4 +1,4 @@
-//! Names of files: quotes, blanks, and names that are nearly those of files.
+//! Tests of file names: quotes, blanks, and names similar to those of files.
 
 use crate::common::{bundle, try_files};
 use femc_import::{Bundle, Fault, Files, Loaded, load_or_list};
@@ -105,7 +105,7 @@ fn a_name_that_is_nearly_that_of_a_file_names_the_file() {
     assert!(matches!(&*error.fault, Fault::Unreadable { near: None, .. }), "{error}");
 }
 
-/// Names in a file start at its own folder.
+/// Names in a file are relative to its own folder.
 #[test]
 fn a_near_name_has_no_folder() {
     for (line, path, near) in [
@@ -128,7 +128,7 @@ fn a_near_name_has_no_folder() {
     }
 }
 
-/// Files that count how often they are looked up.
+/// Files that count lookups.
 struct Counted(Bundle, Cell<usize>);
 
 impl Files for Counted {

@@ -1,4 +1,4 @@
-//! What surfaces and transforms mean.
+//! Tests of surfaces and transforms.
 
 use crate::common::{SQUARE, close, scene, try_scene, world_spheres, world_triangles};
 use femc_math::glam::DVec3;

@@ -1,4 +1,4 @@
-//! Scenes read from text, a module a topic.
+//! Tests of scenes read from text, one module per topic.
 
 mod all_errors;
 mod broken;

@@ -1,10 +1,10 @@
-//! Mixtures of colors: by luminance, before anything is clipped into Rec.709.
+//! Tests of color mixtures: they are mixed by luminance, before any clipping to Rec.709.
 
 use crate::common::try_scene;
 use femc_import::{Loaded, Oddity};
 use proptest::prelude::*;
 
-/// The color of `rd` under the last color of `text`, and the lines of the warnings.
+/// Returns the color of `rd` with the last color of `text`, and the lines of the warnings.
 fn used(text: &str) -> ([f64; 3], Vec<u32>) {
     let Loaded { scene, warnings, .. } = try_scene(&format!("{text}m a =\nrd .01\nv a =\nsph a 1\n")).unwrap();
     assert!(warnings.iter().all(|warning| warning.oddity == Oddity::OutOfGamut), "{warnings:?}");
@@ -20,8 +20,8 @@ fn times(matrix: [[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
     matrix.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
 }
 
-/// The chromaticity of a mixture by luminances in the color space of the scene, to whose white (D65) that of the format (equal
-/// energy) is adapted.
+/// Returns the chromaticity of a mixture by luminances in the color space of the scene. The white of the format (equal energy) is
+/// adapted to the scene's white (D65).
 fn mixed(parts: &[(f64, [f64; 2])]) -> [f64; 2] {
     let xyz = |[x, y]: [f64; 2]| [x / y, 1.0, (1.0 - x - y) / y];
     let (from, to) = (times(BRADFORD, [1.0; 3]), times(BRADFORD, xyz([0.3127, 0.3290])));
@@ -65,7 +65,7 @@ fn the_warning_of_a_clipped_color_is_given_where_it_is_used_and_once() {
     let warnings = try_scene(&text).unwrap().warnings;
     assert_eq!(warnings.iter().map(|warning| warning.at.line).collect::<Vec<_>>(), [2]);
     assert!(try_scene(spectral).unwrap().warnings.is_empty());
-    // A mixture that is itself outside warns at its own place.
+    // A mixture that is itself outside Rec.709 warns at its own line.
     let (_, lines) = used("c green =\ncxy .0082 .5384\nc mix =\ncmix 1 green 1 green\n");
     assert_eq!(lines, [4]);
 }
@@ -104,7 +104,7 @@ proptest! {
         for (color, warnings) in [all.clone(), left, right] {
             prop_assert!(close(color, direct, 1e-3), "{:?} is not {:?}", color, direct);
             prop_assert!(close(color, all.0, 1e-9), "{:?} is not {:?}", color, all.0);
-            // A color on the border may fall to either side of it.
+            // A color on the border may fall on either side of it.
             let border = direct.iter().any(|&c| c < 1e-2);
             prop_assert!(border || warnings.len() == outside.len());
         }

@@ -1,4 +1,4 @@
-//! Whatever the bytes are, the import ends with a scene or an error.
+//! Tests that the import of any bytes ends with a scene or an error.
 
 #[path = "../../examples/corpus/mod.rs"]
 mod corpus;
@@ -8,7 +8,7 @@ use femc_import::{Bundle, Loaded, load, load_or_list};
 use femc_scene::{Scene, Shape};
 use proptest::prelude::*;
 
-/// What every imported scene keeps, so that a renderer need not check again.
+/// Checks the invariants of an imported scene that a renderer relies on.
 fn check(scene: &Scene) {
     for (g, group) in scene.groups.iter().enumerate() {
         let vertices = group.vertices.len() as u32;

@@ -1,4 +1,4 @@
-//! Photometric files and scenes in every edition, encoding and spacing.
+//! Tests of photometric files and scenes in every edition, encoding and spacing.
 
 use crate::common::{try_files, try_scene};
 use femc_import::{Bundle, Loaded, load};
@@ -36,25 +36,25 @@ fn encode(text: &str, encoding: Encoding) -> Vec<u8> {
     }
 }
 
-/// The scene of one lamp whose file has these bytes.
+/// Imports a scene of one lamp whose file has these bytes.
 fn lamp(bytes: &[u8]) -> Result<Loaded, String> {
     let files = [("t.mgf", &b"ies lamp.ies -t 0 0 3\n"[..]), ("lamp.ies", bytes)];
     let files: BTreeMap<String, Vec<u8>> = files.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())).into();
     load(&Bundle(files), "t.mgf").map_err(|error| error.to_string())
 }
 
-/// Photometry and remarks of a lamp.
+/// Returns photometry and remarks of a lamp.
 fn read(bytes: &[u8]) -> Result<(Photometry, Vec<String>), String> {
     let loaded = lamp(bytes)?;
     let words = loaded.warnings.iter().chain(&loaded.notes).map(|said| said.oddity.to_string()).collect();
     Ok((loaded.scene.photometry[0].clone(), words))
 }
 
-/// A file of photometry as the lines above its numbers and the numbers as written.
+/// A photometric file as the lines above its numbers and the numbers as written.
 #[derive(Clone, Debug)]
 struct File {
     head: String,
-    /// Numbers of `TILT=INCLUDE`, from which the first two are the geometry and a count.
+    /// Number of numbers of `TILT=INCLUDE`; the first two are the geometry and a count.
     tilt: usize,
     numbers: Vec<String>,
 }
@@ -72,7 +72,7 @@ impl File {
     }
 }
 
-/// A number as files have it: whole or with decimals.
+/// Generates a number as files write it: whole or with decimals.
 fn number(high: u32) -> impl Strategy<Value = String> {
     prop_oneof![
         (0..high).prop_map(|x| x.to_string()),
@@ -146,7 +146,7 @@ proptest! {
         prop_assert_eq!(read(&encode(&text, encoding)), Ok(plain), "{:?}", text);
     }
 
-    /// A number too many, a number too few or a decimal comma is an error in any place.
+    /// An extra number, a missing number or a decimal comma is an error anywhere.
     #[test]
     fn a_corrupt_file_is_never_another_lamp(
         file in file(),
@@ -158,7 +158,7 @@ proptest! {
         digit in 0u32..10,
     ) {
         let mut corrupt = file.clone();
-        // Another number of tilt factors may leave a whole file by chance.
+        // A changed number of tilt factors may by chance leave a valid file.
         let first = if file.tilt > 0 { 2 } else { 0 };
         let at = first + at.index(file.numbers.len() - first);
         match corruption {

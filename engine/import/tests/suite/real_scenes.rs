@@ -1,4 +1,4 @@
-//! Scenes that are not part of the project, in `../shared`: skipped where that is absent.
+//! Tests of scenes that are not part of the project, in `../shared`; skipped if that folder is missing.
 
 use femc_import::{Bundle, Disk, Loaded, load, load_path};
 use femc_require::shared;

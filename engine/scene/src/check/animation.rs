@@ -1,4 +1,4 @@
-//! Motion that cannot be followed, and selectors of `vary`.
+//! Checks motion that cannot be followed, and the selectors of `vary`.
 
 use super::{Faults, Scope, WHOLE, place};
 use crate::{
@@ -56,7 +56,7 @@ fn check_varies(scope: &Scope<'_>, faults: &mut Faults) {
             faults.add(Warning, Animation, vary.location, message, ADD_TIME);
         }
     }
-    // Values are checked as frames will have them, all together, at every key of every `vary`.
+    // Values are checked as frames use them: all together, at the time of every key of every `vary`.
     let mut times: Vec<f64> = scene.varies.iter().flat_map(|vary| vary.keys.iter().map(|key| key.0)).collect();
     times.sort_by(f64::total_cmp);
     times.dedup();

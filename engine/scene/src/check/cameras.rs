@@ -1,4 +1,4 @@
-//! Cameras, and how big the scene is that they look at.
+//! Checks cameras and the size of the scene.
 
 use super::{Faults, Scope, WHOLE};
 use crate::{
@@ -7,10 +7,10 @@ use crate::{
     description::Camera,
 };
 
-/// Largest and smallest scene without suspicion, m.
+/// Largest and smallest scene size that raises no warning, m.
 const LARGEST: f64 = 1e5;
 const SMALLEST: f64 = 1e-2;
-/// A camera this many diagonals away sees the scene as a dot.
+/// Distance, in scene diagonals, from which a camera sees the scene as a dot.
 const FAR: f64 = 100.0;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
@@ -60,10 +60,10 @@ fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
     }
 }
 
-/// Most frames whose views are looked at.
+/// Maximum number of frames whose views are checked.
 const FRAMES: u32 = 100_000;
 
-/// The first frame in which a camera on a path has no view.
+/// Returns the first frame in which a camera on a path has no valid view.
 fn blind_frame(scope: &Scope<'_>, camera: &Camera) -> Option<u32> {
     let (scene, clip) = (scope.scene, scope.scene.clip?);
     if !camera.is_animated(&scene.paths) {
@@ -76,7 +76,7 @@ fn blind_frame(scope: &Scope<'_>, camera: &Camera) -> Option<u32> {
     })
 }
 
-/// A length for people.
+/// Formats a length for messages.
 fn length(metres: f64) -> String {
     match metres {
         m if m >= 1e4 => format!("{:.4} km", m / 1e3),

@@ -1,8 +1,8 @@
-//! Boundaries of solids and media: closed, and not around a camera.
+//! Checks that the boundaries of solids and media are closed, and that no camera is inside one.
 //!
-//! A surface bounds something when it is one-sided and either refracts or has a medium inside. Faces are checked edge by
-//! edge against all faces of their group (where an object's boundary joins faces and cones, the faces are not), cones and
-//! cylinders rim by rim against the group's other rims and the faces across them.
+//! A surface is a boundary when it is one-sided and either refracts or has a medium inside. Faces are checked edge by edge against
+//! all faces of their group. They are not checked where the boundary of an object joins faces and cones. Cones and cylinders are
+//! checked rim by rim against the other rims of the group and the faces across them.
 
 use super::{Faults, Scope, materials::title};
 use crate::{
@@ -14,12 +14,12 @@ use crate::{
 use femc_math::{elementary::double::atan2, glam::DVec3};
 use std::{collections::BTreeMap, f64::consts::TAU};
 
-/// Corners this part of the group's size apart are one.
+/// Distance below which two corners are welded into one, relative to the size of the group.
 const WELD: f64 = 1e-6;
-/// Turns of a boundary round a camera that is inside; a closed one makes 1.
+/// Number of turns of a boundary around a camera above which the camera is inside; a closed boundary makes 1.
 const INSIDE: f64 = 0.75;
 
-/// A place on the welding lattice.
+/// A point of the welding lattice.
 type Lattice = (i64, i64, i64);
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
@@ -51,7 +51,7 @@ fn snap(p: DVec3, step: f64) -> Lattice {
     (at.x as i64, at.y as i64, at.z as i64)
 }
 
-/// Edges of boundary faces that no other face shares.
+/// Reports edges of boundary faces that no other face shares.
 fn open_edges(scope: &Scope<'_>, group: &Group, bounds: &[bool], step: f64, faults: &mut Faults) {
     let is_boundary = |material: MaterialId| bounds.get(material.index()) == Some(&true);
     if !group.faces.iter().any(|face| is_boundary(face.material)) {
@@ -97,7 +97,7 @@ fn open_edges(scope: &Scope<'_>, group: &Group, bounds: &[bool], step: f64, faul
     }
 }
 
-/// Ends of boundary cones and cylinders that nothing closes.
+/// Reports ends of boundary cones and cylinders that nothing closes.
 fn open_rims(scope: &Scope<'_>, group: &Group, bounds: &[bool], step: f64, faults: &mut Faults) {
     let mut rims: BTreeMap<(Lattice, i64), u32> = BTreeMap::new();
     let rim = |center: DVec3, radius: f64| (snap(center, step), (radius / step).round() as i64);
@@ -123,7 +123,7 @@ fn open_rims(scope: &Scope<'_>, group: &Group, bounds: &[bool], step: f64, fault
     }
 }
 
-/// Whether a triangle of the group lies across `axis` at `center` (within its bounds).
+/// Returns whether a triangle of the group lies across `axis` at `center`, with `center` inside the triangle's bounds.
 fn face_across(group: &Group, center: DVec3, axis: DVec3, step: f64) -> bool {
     group.triangles.iter().any(|triangle| {
         let corners = triangle.map(|vertex| group.vertices[vertex as usize].position);
@@ -132,7 +132,7 @@ fn face_across(group: &Group, center: DVec3, axis: DVec3, step: f64) -> bool {
     })
 }
 
-/// Center and radius of the circles at which a shape ends.
+/// Returns center and radius of the circles at which a shape ends.
 fn rims_of(shape: &Shape) -> [Option<(DVec3, f64)>; 2] {
     match *shape {
         Shape::Cone { start, end, start_radius, end_radius, .. } => {
@@ -143,7 +143,7 @@ fn rims_of(shape: &Shape) -> [Option<(DVec3, f64)>; 2] {
     }
 }
 
-/// Cameras that start inside a solid or a bounded medium.
+/// Reports cameras that start inside a solid or a bounded medium.
 fn cameras_inside(scope: &Scope<'_>, bounds: &[bool], faults: &mut Faults) {
     for camera in &scope.scene.cameras {
         let eye = camera.at(&scope.scene.paths, scope.time).origin;
@@ -163,7 +163,7 @@ fn cameras_inside(scope: &Scope<'_>, bounds: &[bool], faults: &mut Faults) {
     }
 }
 
-/// Signed solid angle of a triangle seen from the origin, sr; positive from behind (\[vanoosterom1983\]).
+/// Returns the signed solid angle of a triangle seen from the origin, sr; positive from behind (\[vanoosterom1983\]).
 fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
     let (la, lb, lc) = (a.length(), b.length(), c.length());
     2.0 * atan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb)

@@ -1,4 +1,4 @@
-//! Triangles in parallel planes: whether, how far apart, how much of each other they cover.
+//! Relations of triangles in parallel planes: whether they are parallel, their distance and their overlap.
 
 use crate::world::PlacedTriangle;
 use femc_math::glam::{DVec2, DVec3};
@@ -6,7 +6,7 @@ use femc_math::glam::{DVec2, DVec3};
 /// Cosine beyond which normals count as parallel: 1.4 milliradians.
 const PARALLEL: f64 = 1.0 - 1e-6;
 
-/// A triangle with its plane; triangles without area have none.
+/// A triangle with its plane. Triangles without area have no plane.
 pub(super) struct Plane {
     pub normal: DVec3,
     pub area: f64,
@@ -21,18 +21,18 @@ impl Plane {
         normal.is_finite().then_some(Self { normal, area: length / 2.0, corners: triangle.corners })
     }
 
-    /// Whether the normals are parallel, either way.
+    /// Returns whether the normals are parallel or antiparallel.
     pub fn is_parallel(&self, other: &Self) -> bool {
         self.normal.dot(other.normal).abs() > PARALLEL
     }
 
-    /// Least and greatest signed distance of the other's corners from this plane, along this normal.
+    /// Returns the least and greatest signed distance of the other triangle's corners from this plane, along this normal.
     pub fn distances(&self, other: &Self) -> (f64, f64) {
         let d = other.corners.map(|corner| self.normal.dot(corner - self.corners[0]));
         (d[0].min(d[1]).min(d[2]), d[0].max(d[1]).max(d[2]))
     }
 
-    /// Area that both cover, seen along this normal.
+    /// Returns the area that both triangles cover, seen along this normal.
     pub fn overlap(&self, other: &Self) -> f64 {
         let x = self.normal.any_orthonormal_vector();
         let y = self.normal.cross(x);
@@ -49,7 +49,7 @@ impl Plane {
     }
 }
 
-/// The part of a convex polygon on the left of the line from `a` to `b` (\[sutherland1974\]).
+/// Returns the part of a convex polygon on the left of the line from `a` to `b` (\[sutherland1974\]).
 fn clip_half_plane(polygon: &[DVec2], a: DVec2, b: DVec2) -> Vec<DVec2> {
     let side = |p: DVec2| (b - a).perp_dot(p - a);
     let mut kept = Vec::with_capacity(polygon.len() + 1);

@@ -1,4 +1,4 @@
-//! Surfaces without area, faces out of plane.
+//! Checks for surfaces without area and for non-planar faces.
 
 use super::{Faults, Scope};
 use crate::{
@@ -9,11 +9,11 @@ use crate::{
 };
 use femc_math::glam::DVec3;
 
-/// Area below this part of the squared size is none.
+/// Area, relative to the squared size, below which a face has no area.
 const NO_AREA: f64 = 1e-12;
-/// Corners out of plane by this part of the size are noted.
+/// Deviation from the plane, relative to the size, above which a face gets a note.
 const OUT_OF_PLANE: f64 = 1e-3;
-/// And warned of beyond this one: measured rooms are not bent that much.
+/// Deviation from the plane, relative to the size, above which a face gets a warning: measured rooms are not bent that much.
 const BENT: f64 = 1e-2;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {

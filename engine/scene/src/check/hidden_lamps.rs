@@ -1,7 +1,7 @@
-//! Lamps whose light no method finds: points in solid glass, lamps in solids, in walls and above ceilings.
+//! Finds lamps whose light no rendering method finds: points in solid glass, lamps in solids, in walls and above ceilings.
 //!
-//! Rays of a lamp's light, spread by the directions in which it emits, are followed to the places that they light. As soon as
-//! a place that a camera's paths come to sees one of these places, the lamp is found. A warning states what all rays of a
+//! The check traces rays of a lamp's light, distributed by the directions in which it emits, to the points that they light. A lamp
+//! counts as found as soon as a point on a camera's path sees one of these points. A warning states the reason that all rays of a
 //! lamp have in common.
 
 use super::{Faults, Scope, WHOLE, light_paths::view, materials::title};
@@ -14,32 +14,32 @@ use crate::{
 use femc_math::glam::DVec3;
 use std::collections::BTreeMap;
 
-/// Rays of a lamp.
+/// Number of rays per lamp.
 const RAYS: u32 = 256;
-/// Lit places from which light is followed on, and reflections of each.
+/// Maximum number of lit points from which light is traced further, and maximum number of reflections from each.
 const FOLLOWED: usize = 64;
 const REFLECTIONS: u32 = 16;
-/// Places of the cameras' paths that are tried for each lit place, besides an eye.
+/// Number of points on the cameras' paths that are tested against each lit point, in addition to one eye.
 const TRIES: u32 = 2;
-/// Walks of all cameras together.
+/// Number of random walks of all cameras together.
 const WALKS: usize = 1024;
-/// Most cameras; where there are more, nothing is said of places that no camera sees.
+/// Maximum number of cameras. If there are more, points that no camera sees are not reported.
 const CAMERAS: usize = 64;
-/// Share of a point lamp's light that glass and mirrors must take.
+/// Share of a point lamp's light that glass and mirrors must take to be reported.
 const LOST: f64 = 0.5;
-/// Surfaces are around a lamp up to this share of the scene's diagonal, and up to this distance, m.
+/// Greatest distance at which surfaces count as around a lamp: a share of the scene's diagonal, and an upper limit, m.
 const AROUND: (f64, f64) = (0.02, 0.2);
-/// Ways that are looked along for all lamps together.
+/// Maximum number of rays and visibility tests for all lamps together.
 const BUDGET: u64 = 4_000_000;
 
-/// End of the message of a camera that no light reaches: then no lamp is named as well.
+/// End of the message for a camera that no light reaches. When it is present, lamps are not reported for the same reason.
 pub(super) const BLACK: &str = "its picture is black";
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let mut search = Search::new(scope);
     let all = sources(scope);
     let is_dark = faults.0.iter().any(|fault| fault.kind == CameraFault && fault.message.ends_with(BLACK));
-    // The first place of equal findings, and how many there are.
+    // First location and count of equal findings.
     let mut found: BTreeMap<(Location, Hidden), u32> = BTreeMap::new();
     let mut looked_at = 0;
     for source in &all {
@@ -72,33 +72,33 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// Reason for which a lamp's light is not found.
+/// Reason why a lamp's light is not found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Hidden {
-    /// A point, of whose light this many hundredths meet solids that bend it.
+    /// A point lamp. This percentage of its light hits solids that refract it.
     Glass(MaterialId, u32),
-    /// A point, of whose light this many hundredths meet perfect mirrors.
+    /// A point lamp. This percentage of its light hits perfect mirrors.
     Mirror(MaterialId, u32),
-    /// Surfaces stop all light.
+    /// Surfaces of this material stop all light.
     Stopped(MaterialId),
-    /// Surfaces up to this many millimeters away are all that light meets, and no camera sees them.
+    /// The light reaches only surfaces up to this many millimeters away, and no camera sees them.
     Near(u32),
-    /// No camera sees a place that light reaches.
+    /// No camera sees a point that the light reaches.
     Apart,
 }
 
-/// State of the search: the cameras' views, and the work done so far.
+/// State of the search: the cameras' views and the work done so far.
 struct Search<'a, 'b> {
     scope: &'b Scope<'a>,
-    /// Directions of the photometric files.
+    /// Emission directions of the photometric files.
     beams: Vec<Option<Beams>>,
     eyes: Vec<DVec3>,
-    /// Places of the cameras' paths, with the normal of the side that they came to.
+    /// Points on the cameras' paths, each with the normal of the side that the path hit.
     places: Vec<(DVec3, DVec3)>,
     /// Whether some path of a camera leaves the scene.
     escapes: bool,
     dice: Dice,
-    /// Ways that were looked along.
+    /// Number of rays and visibility tests so far.
     ways: u64,
 }
 
@@ -118,7 +118,8 @@ impl<'a, 'b> Search<'a, 'b> {
         Self { scope, beams, eyes, places, escapes, dice: Dice(13), ways: 0 }
     }
 
-    /// Reason for which no light of a source is found; `None`: some is found, or that cannot be excluded.
+    /// Returns the reason why no light of a source is found. `None` means that some light is found, or that this cannot be
+    /// excluded.
     fn hidden(&mut self, source: &Source<'_>) -> Option<Hidden> {
         let mut tally = Tally::default();
         let mut lit: Vec<LitPlace> = Vec::new();
@@ -152,7 +153,7 @@ impl<'a, 'b> Search<'a, 'b> {
         }
     }
 
-    /// Follows the light of lit places on, until a camera sees what it lights.
+    /// Traces the light of lit points further, until a camera sees what it lights.
     fn apart(&mut self, lit: &[LitPlace], mut tally: Tally) -> Option<Hidden> {
         if self.eyes.is_empty() || tally.rays == 0 {
             return None;
@@ -188,7 +189,7 @@ impl<'a, 'b> Search<'a, 'b> {
         }
     }
 
-    /// Whether an eye or some places of cameras' paths see a lit place.
+    /// Returns whether an eye or a random point on a camera's path sees a lit point.
     fn sees(&mut self, lit: &LitPlace) -> bool {
         let is_lit_from = |from: DVec3| lit.normal.is_none_or(|normal| normal.dot(from - lit.place) > 0.0);
         let mut pick = |count: usize| (self.dice.roll() * count as f64) as usize;
@@ -206,14 +207,14 @@ impl<'a, 'b> Search<'a, 'b> {
         })
     }
 
-    /// Whether some medium in the open scatters.
+    /// Returns whether a medium of a region scatters.
     fn is_foggy(&self) -> bool {
         let scene = self.scope.scene;
         let media = scene.regions.iter().filter_map(|region| scene.media.get(region.medium.index()));
         media.into_iter().any(|m| scene.largest(&format!("medium.{}", m.name), "sigma_s", m.sigma_s) > 0.0)
     }
 
-    /// Message and advice.
+    /// Returns message and advice.
     fn words(&self, hidden: Hidden) -> (String, &'static str) {
         let named =
             |material: MaterialId| self.scope.scene.materials.get(material.index()).map_or(String::new(), title);
@@ -264,18 +265,18 @@ impl<'a, 'b> Search<'a, 'b> {
     }
 }
 
-/// Ends of a lamp's rays.
+/// Counts of the ways in which a lamp's rays end.
 #[derive(Default)]
 struct Tally {
     rays: u32,
     bent: u32,
     mirrored: u32,
-    /// The first solid that bends, and the first mirror.
+    /// First solid that refracts, and first mirror.
     glass: Option<MaterialId>,
     mirror: Option<MaterialId>,
     stopped: Option<MaterialId>,
     escaped: bool,
-    /// Greatest distance of a lit place, m.
+    /// Greatest distance to a lit point, m.
     reach: f64,
 }
 
@@ -290,7 +291,7 @@ impl Tally {
         self.mirror.get_or_insert(material);
     }
 
-    /// Light of a point that glass and mirrors take, if that is most of it.
+    /// Returns the reason if glass and mirrors take most of a point lamp's light.
     fn lost(&self) -> Option<Hidden> {
         let part = |count: u32| (100.0 * f64::from(count) / f64::from(self.rays.max(1))).round() as u32;
         if f64::from(self.bent + self.mirrored) <= LOST * f64::from(self.rays) {

@@ -1,6 +1,7 @@
-//! Where light can get to: walls whose backs let it in, cameras that none reaches, scenes that it never leaves.
+//! Checks the paths of light: walls that let light in through their backs, cameras that no light reaches, scenes that light never
+//! leaves.
 //!
-//! Found by a few hundred walks from each camera. What they find is there; what they do not find may be there, too.
+//! The check uses a few hundred random walks from each camera. A fault that they find is real. They may miss faults.
 
 use super::{Faults, Scope, WHOLE, hidden_lamps::BLACK, materials::title};
 use crate::{
@@ -12,15 +13,15 @@ use crate::{
 use femc_math::{elementary::double::tan, glam::DVec3};
 use std::collections::BTreeMap;
 
-/// Walks from each camera.
+/// Number of walks from each camera.
 const WALKS: u64 = 256;
-/// Lamps that are looked for from each place.
+/// Number of lamps that are tested from each point.
 const LAMPS: usize = 4;
-/// Cameras that are looked at.
+/// Maximum number of cameras that are checked.
 const CAMERAS: usize = 8;
-/// Part of the light that comes through the backs of a wall, if it is to be named.
+/// Share of the light that must come through the backs of a wall for the wall to be reported.
 const THROUGH_BACKS: f64 = 0.25;
-/// A material that gives back less absorbs.
+/// Reflectance sum below which a material absorbs.
 const WHITE: f64 = 1.0 - 1e-6;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
@@ -38,7 +39,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
             faults.add(Warning, CameraFault, camera.location, message, "move it out of the solid, or put a lamp in");
         }
     }
-    // A mirror or a screen that stands free has a back, too: it lights nothing much.
+    // A free-standing mirror or screen has a back, too, but lets little light through it.
     let much = |(_, (_, count)): &(MaterialId, (Location, u32))| f64::from(*count) >= THROUGH_BACKS * f64::from(lit);
     for (material, (location, _)) in backs.into_iter().filter(much) {
         let Some(material) = scope.scene.materials.get(material.index()) else { continue };
@@ -59,18 +60,18 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// What the walks of a camera found.
+/// Results of a camera's walks.
 #[derive(Default)]
 struct Found {
-    /// Walks.
+    /// Number of walks.
     begun: u32,
-    /// Walks that left the scene.
+    /// Number of walks that left the scene.
     escaped: u32,
-    /// Places that a lamp lights.
+    /// Number of pairs of a point and a lamp that lights it; a walk that hits a lamp also counts.
     lit: u32,
 }
 
-/// First place of a wall whose back let light in, by its material, and how often.
+/// First location of a wall whose back let light in, and the number of such hits, by material.
 type Backs = BTreeMap<MaterialId, (Location, u32)>;
 
 fn look(scope: &Scope<'_>, camera: &Camera, lamps: &[LampPoint], backs: &mut Backs) -> Found {
@@ -96,7 +97,7 @@ fn look(scope: &Scope<'_>, camera: &Camera, lamps: &[LampPoint], backs: &mut Bac
     found
 }
 
-/// A ray of the camera's view.
+/// Returns a random ray through the camera's film.
 pub(super) fn view(scope: &Scope<'_>, camera: &Camera, dice: &mut Dice) -> Option<Ray> {
     let camera = camera.at(&scope.scene.paths, scope.time);
     let forward = (camera.target - camera.origin).try_normalize()?;
@@ -108,14 +109,14 @@ pub(super) fn view(scope: &Scope<'_>, camera: &Camera, dice: &mut Dice) -> Optio
     Some(Ray { origin: camera.origin, dir, far: f64::INFINITY })
 }
 
-/// Whether the side of a surface that was met emits.
+/// Returns whether the side of a surface that was hit emits.
 fn is_lamp(scope: &Scope<'_>, hit: &Hit, normal: DVec3) -> bool {
     let faces = hit.normal.dot(normal) > 0.0;
     hit.material(scope)
         .is_some_and(|material| (faces || material.sides == crate::Sides::Two) && crate::world::emits(scope, material))
 }
 
-/// The backs that light of a lamp comes through on its way to a place; `None` if it does not get there.
+/// Returns the invisible backs of surfaces that a lamp's light crosses on its way to a point; `None` if it does not arrive.
 fn lights(scope: &Scope<'_>, lamp: &LampPoint, place: DVec3, normal: DVec3) -> Option<Vec<Hit>> {
     let way = lamp.place - place;
     let is_before = lamp.normal.is_none_or(|facing| facing.dot(way) < 0.0);

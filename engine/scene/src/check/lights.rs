@@ -1,4 +1,4 @@
-//! Lights that light nothing.
+//! Checks for lights that light nothing.
 
 use super::{Faults, Scope, WHOLE, coplanar::Plane, materials::title, overlap::tolerance};
 use crate::{
@@ -9,9 +9,9 @@ use crate::{
 };
 use std::{collections::BTreeMap, ops::ControlFlow};
 
-/// A surface this part of a lamp's size in front of it shuts it off.
+/// Distance, relative to a lamp's size, within which a surface in front of the lamp covers it.
 const GAP: f64 = 1e-3;
-/// Part of a lamp that must be covered for it to be shut off.
+/// Share of a lamp that must be covered for the lamp to be reported.
 const COVERED: f64 = 0.999;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
@@ -27,7 +27,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// Emittance at its largest over the clip, lm/m2.
+/// Returns the maximum emittance over the clip, lm/m2.
 fn emittance(scope: &Scope<'_>, material: &Material) -> f64 {
     scope.scene.largest(&format!("material.{}", material.name), "ed", material.ed.amount)
 }
@@ -61,7 +61,7 @@ fn power(scope: &Scope<'_>, luminaire: &Luminaire) -> f64 {
     brightest * luminaire.multiplier
 }
 
-/// Whether a `vary` sets the multiplier of luminaires somewhere.
+/// Returns whether a `vary` sets the multiplier of any luminaire.
 fn multipliers_vary(scope: &Scope<'_>) -> bool {
     scope.scene.varies.iter().any(|vary| vary.selector.ends_with(".multiplier"))
 }
@@ -73,11 +73,11 @@ fn check_luminaire(scope: &Scope<'_>, luminaire: &Luminaire, faults: &mut Faults
     }
 }
 
-/// One-sided lamps whose front another surface covers.
+/// Reports one-sided lamps whose front another surface covers.
 pub(super) fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
     let materials = &scope.scene.materials;
     let emits: Vec<bool> = materials.iter().map(|m| m.sides == Sides::One && emittance(scope, m) > 0.0).collect();
-    // Face in its place -> its area, the part of it that is covered, where it is.
+    // Placed face -> its area, its covered area, its location.
     let mut lamps: BTreeMap<u32, (f64, f64, Location)> = BTreeMap::new();
     for lamp in scope.triangles.iter().filter(|triangle| emits.get(triangle.material.index()) == Some(&true)) {
         let Some(plane) = Plane::of(lamp) else { continue };
@@ -93,7 +93,7 @@ pub(super) fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// Area of a lamp that opaque surfaces close in front of it cover.
+/// Returns the area of a lamp that is covered by opaque surfaces close in front of it.
 fn covered_area(scope: &Scope<'_>, lamp: &PlacedTriangle, plane: &Plane) -> f64 {
     let (least, gap) = (tolerance(scope), GAP * plane.area.sqrt());
     let mut covered = 0.0;

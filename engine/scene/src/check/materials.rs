@@ -1,4 +1,4 @@
-//! Materials: energy and color.
+//! Checks energy and color of materials.
 
 use super::{Faults, Scope};
 use crate::{
@@ -7,9 +7,9 @@ use crate::{
     description::Material,
 };
 
-/// Emittance beyond the surface of the sun's order, lm/m2.
+/// Emittance above that of the sun's surface, lm/m2.
 const BRIGHTEST: f64 = 1e9;
-/// Room for rounded white points.
+/// Tolerance for rounded white points.
 const ROOM: f64 = 1e-3;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
@@ -24,7 +24,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// `material `name``, or `the unnamed material`.
+/// Returns `material `name``, or `the unnamed material`.
 pub(super) fn title(material: &Material) -> String {
     if material.name.is_empty() { "the unnamed material".into() } else { format!("material `{}`", material.name) }
 }

@@ -1,4 +1,4 @@
-//! Media: placed at all, in some volume, of a sensible thickness.
+//! Checks that media are placed, have a volume and have a sensible optical thickness.
 
 use super::{Faults, Scope, materials::title};
 use crate::{
@@ -9,11 +9,11 @@ use crate::{
 use femc_math::{elementary::double::exp, glam::DVec3};
 use std::collections::BTreeSet;
 
-/// Through this optical depth 1e-13 of the light comes.
+/// Optical depth through which only 1e-13 of the light passes.
 const OPAQUE: f64 = 30.0;
-/// Through this one nothing measurable is lost.
+/// Optical depth below which no measurable light is lost.
 const CLEAR: f64 = 1e-6;
-/// Points on the way from a camera to its target.
+/// Number of points between a camera and its target.
 const STEPS: u32 = 256;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
@@ -53,7 +53,7 @@ fn insides(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// A medium that no ray across the scene would notice.
+/// Reports a medium that has no visible effect on any ray across the scene.
 fn thin(scope: &Scope<'_>, medium: &Medium, faults: &mut Faults) {
     let prefix = format!("medium.{}.", medium.name);
     let varies = scope.scene.varies.iter().any(|vary| vary.selector.starts_with(&prefix));
@@ -70,7 +70,7 @@ fn thin(scope: &Scope<'_>, medium: &Medium, faults: &mut Faults) {
     }
 }
 
-/// A camera that cannot see what it looks at.
+/// Reports a camera that cannot see its target through the media.
 fn thick(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
     let scene = scope.scene;
     let camera = camera.at(&scene.paths, scope.time);
@@ -92,7 +92,7 @@ fn thick(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
     }
 }
 
-/// Extinction coefficient of the densest channel at density 1, 1/m.
+/// Returns the extinction coefficient of the densest channel at density 1, 1/m.
 fn extinction(medium: &Medium) -> f64 {
     medium.extinction().into_iter().fold(0.0, f64::max)
 }

@@ -1,8 +1,8 @@
-//! Faults of a scene: what is wrong (errors), what is probably not meant (warnings), what is worth knowing (notes).
+//! Faults of a scene: errors, probable mistakes (warnings), and remarks (notes).
 //!
-//! Every check is sound in one direction: a warning names something that can be seen in the description itself, never a
-//! guess about a picture. Geometry is looked at where it is at the start of the clip. The list has one order: by place in
-//! the files, then by kind and text.
+//! Every check is sound in one direction: a warning names something that can be seen in the description itself and never guesses
+//! about a picture. Geometry is checked at the start of the clip. The list is sorted by location in the files, then by kind and
+//! text.
 
 mod animation;
 mod cameras;
@@ -23,15 +23,15 @@ use crate::world::Scope;
 use serde::Serialize;
 use std::fmt;
 
-/// How bad a fault is.
+/// Severity of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Severity {
     /// The scene cannot be rendered as it stands.
     Error,
-    /// Probably not what was meant.
+    /// Probably a mistake.
     Warning,
-    /// Worth knowing.
+    /// Worth knowing, but not a mistake.
     Note,
 }
 
@@ -45,33 +45,33 @@ impl fmt::Display for Severity {
     }
 }
 
-/// What sort of fault.
+/// Kind of fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultKind {
     /// A surface without area.
     DegenerateSurface,
-    /// A face whose corners are not in one plane.
+    /// A face whose corners do not lie in one plane.
     NonPlanarFace,
-    /// Surfaces in one plane, over each other.
+    /// Surfaces that overlap in one plane.
     OverlappingFaces,
-    /// Something defined and never used.
+    /// A name that is defined but never used.
     UnusedName,
     /// Two definitions of one name.
     DuplicateName,
-    /// A selector that matches nothing or sets what cannot be.
+    /// A selector that matches nothing, or that sets an impossible value.
     BadSelector,
-    /// A material that asks for more light than it receives.
+    /// A material that reflects and transmits more light than it receives.
     EnergyGain,
     /// A color with a negative channel.
     OutOfGamut,
-    /// A medium that is placed nowhere, or in no volume.
+    /// A medium that is not placed, or whose region has no volume.
     MediumWithoutBounds,
-    /// Media nested deeper than paths keep count of.
+    /// Media nested deeper than a path can track.
     NestedMedia,
     /// A medium too thick to see through, or too thin to see.
     OpticalDepth,
-    /// The boundary of a solid or a medium with holes in it.
+    /// A boundary of a solid or a medium that has holes.
     OpenBoundary,
     /// A light that lights nothing.
     LightsNothing,
@@ -79,7 +79,7 @@ pub enum FaultKind {
     OneSidedWall,
     /// A closed scene that no light leaves.
     EnergyTrap,
-    /// A size or an emittance far from any real one.
+    /// A size or an emittance far from any real value.
     Scale,
     /// A camera that is missing, or that cannot see.
     Camera,
@@ -92,20 +92,20 @@ pub enum FaultKind {
 /// A fault of a scene.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Fault {
-    /// Severity; only an error keeps the scene from being rendered.
+    /// Severity. Only an error prevents rendering.
     pub severity: Severity,
     /// Kind of fault.
     pub kind: FaultKind,
-    /// Where; line 1 of the scene file for the scene as a whole.
+    /// Location. Line 1 of the scene file stands for the scene as a whole.
     pub location: Location,
-    /// What is wrong.
+    /// Description of the fault.
     pub message: String,
-    /// What to do about it.
+    /// Advice on how to fix it.
     pub advice: String,
 }
 
 impl Fault {
-    /// `file:line: warning: what; what to do`.
+    /// Formats the fault as `file:line: warning: message; advice`.
     pub fn display<'a>(&'a self, scene: &'a Scene) -> impl fmt::Display + 'a {
         DisplayFault { fault: self, scene }
     }
@@ -123,16 +123,16 @@ impl fmt::Display for DisplayFault<'_> {
     }
 }
 
-/// `file:line`.
+/// Formats a location as `file:line`.
 fn place(scene: &Scene, location: Location) -> String {
     let file = scene.files.get(location.file as usize).map_or("scene", String::as_str);
     format!("{file}:{}", location.line)
 }
 
-/// The scene as a whole.
+/// Location of the scene as a whole.
 const WHOLE: Location = Location { file: 0, line: 1, column: 0 };
 
-/// The faults found so far.
+/// Faults found so far.
 #[derive(Default)]
 struct Faults(Vec<Fault>);
 
@@ -149,8 +149,8 @@ impl Faults {
     }
 }
 
-/// All faults of a scene, in order of place, kind and text. O(n log n) in the number of placed triangles, of which the
-/// first million are looked at (a note says so where there are more).
+/// Returns all faults of a scene, sorted by location, kind and text. Takes O(n log n) in the number of placed triangles. At most
+/// the first million triangles are checked; a note says so if there are more.
 pub fn check(scene: &Scene) -> Vec<Fault> {
     let mut faults = Faults::default();
     let scope = Scope::new(scene);
@@ -173,7 +173,7 @@ pub fn check(scene: &Scene) -> Vec<Fault> {
     in_order(faults)
 }
 
-/// Lamps whose light no method finds, in the order of [`check`], of which they are a part.
+/// Returns the lamps whose light no rendering method finds: a subset of the faults of [`check`], in the same order.
 pub fn lamps_without_light(scene: &Scene) -> Vec<Fault> {
     let mut faults = Faults::default();
     let scope = Scope::new(scene);

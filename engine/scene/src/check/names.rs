@@ -1,4 +1,4 @@
-//! Names: defined and unused, defined twice.
+//! Checks for unused names and duplicate names.
 
 use super::{Faults, Scope, place};
 use crate::{
@@ -18,7 +18,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     duplicates(scope, faults, "path", scene.paths.iter().map(|path| (&*path.name, path.location)));
 }
 
-/// A name is unused when none of its definitions is on a surface: MGF redefines materials freely.
+/// Reports unused names. A name is unused when none of its definitions is on a surface, because MGF redefines materials freely.
 fn unused_materials(scope: &Scope<'_>, faults: &mut Faults) {
     let mut named: BTreeMap<&str, (Location, bool)> = BTreeMap::new();
     for (material, used) in scope.scene.materials.iter().zip(&scope.used).filter(|(m, _)| !m.name.is_empty()) {
@@ -30,10 +30,10 @@ fn unused_materials(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// Name that things without a name have in a Cryptomatte, by its convention.
+/// Name of unnamed objects and materials in a Cryptomatte, by its convention.
 const UNNAMED: &str = "default";
 
-/// An object called `default` beside what is in no object, and a material of that name beside the unnamed one.
+/// Reports an object called `default` beside surfaces that belong to no object, and a material of that name beside the unnamed one.
 fn default_names(scope: &Scope<'_>, faults: &mut Faults) {
     let scene = scope.scene;
     let surfaces = || {

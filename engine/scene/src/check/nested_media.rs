@@ -1,7 +1,8 @@
-//! Media nested deeper than a path carries them.
+//! Checks for media nested deeper than a path can track.
 //!
-//! A path keeps a list of the media of the solids that it is inside of. The list is short: it is copied with every ray. Media
-//! beyond its length are not seen, so a scene that nests more of them has less fog, ink or glass color than it says.
+//! A path keeps a list of the media of the solids that it is inside. The list is short because it is copied with every ray. Media
+//! beyond its length are ignored, so a scene that nests more of them is rendered with less fog, ink or glass color than it
+//! describes.
 
 use super::{Faults, Scope, materials::title};
 use crate::{
@@ -12,11 +13,11 @@ use crate::{
 };
 use femc_math::glam::DVec3;
 
-/// Surfaces that rays are sent through, at most.
+/// Maximum number of surfaces that rays are sent through.
 const SURFACES: usize = 512;
-/// Hits that a ray is followed for.
+/// Maximum number of hits of one ray.
 const HITS: usize = 4096;
-/// Direction of the rays: along no axis, so that no ray lies in a wall of most scenes.
+/// Direction of the rays. It is along no axis, so in most scenes no ray lies in a wall.
 const DIRECTION: DVec3 = DVec3::new(0.36, 0.48, 0.8);
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
@@ -36,7 +37,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// A point that a ray through the shape goes through.
+/// Returns a point such that a ray through it hits the shape.
 fn middle(shape: &Shape) -> DVec3 {
     match *shape {
         Shape::Sphere { center, .. } | Shape::Ring { center, .. } => center,
@@ -45,7 +46,7 @@ fn middle(shape: &Shape) -> DVec3 {
     }
 }
 
-/// Follows a ray from outside of the scene through `point`; reports the surface behind which there are too many media.
+/// Traces a ray from outside the scene through `point`, and reports the surface behind which too many media are nested.
 fn deepest(scope: &Scope<'_>, point: DVec3, faults: &mut Faults) -> bool {
     let dir = DIRECTION.normalize();
     let mut ray = Ray { origin: point - 2.0 * scope.bounds.diagonal() * dir, dir, far: f64::INFINITY };

@@ -1,8 +1,8 @@
-//! Surfaces that lie in each other: a renderer sees one or the other, as rounding has it.
+//! Checks for surfaces that coincide: rounding decides which of them a renderer sees.
 //!
-//! Placed triangles are paired through a tree of their bounds, so the cost is O(n log n) for meshes; where too many bounds
-//! overlap the search stops and says so. Faces back to back (a table leg on the floor) are only noted. Of curved surfaces
-//! those that are the same in one group are found.
+//! Placed triangles are paired through a tree of their bounds, so the cost is O(n log n) for meshes. If too many bounds overlap,
+//! the search stops and a note says so. Faces back to back (a table leg on the floor) only get a note. Curved surfaces are reported
+//! only if they are identical and in the same group.
 
 use super::{Faults, Scope, WHOLE, coplanar::Plane, place};
 use crate::{
@@ -13,23 +13,23 @@ use crate::{
 use femc_math::glam::DVec3;
 use std::{collections::BTreeMap, ops::ControlFlow};
 
-/// Planes this part of the largest coordinate apart are one: what single precision cannot tell.
+/// Distance below which two planes count as one, relative to the largest coordinate: single precision cannot tell them apart.
 const ONE_PLANE: f64 = 1e-6;
-/// Part of the smaller triangle that must be covered.
+/// Share of the smaller triangle that must be covered.
 const COVERED: f64 = 1e-3;
-/// Most pairs of triangles that are compared.
+/// Maximum number of pairs of triangles that are compared.
 const PAIR_LIMIT: u64 = 50_000_000;
-/// Most pairs of faces that are reported.
+/// Maximum number of pairs of faces that are reported.
 const REPORT_LIMIT: usize = 10_000;
 
-/// Which way the two faces of a pair look.
+/// Relative orientation of the two faces of a pair.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Sense {
     Same,
     Opposite,
 }
 
-/// Distance under which two planes are one, m.
+/// Returns the distance below which two planes count as one, m.
 pub(super) fn tolerance(scope: &Scope<'_>) -> f64 {
     ONE_PLANE * scope.bounds.magnitude()
 }
@@ -75,7 +75,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// Curved surfaces given twice.
+/// Reports curved surfaces that occur twice.
 fn same_quadrics(scope: &Scope<'_>, faults: &mut Faults) {
     for (group, _) in scope.scene.groups.iter().zip(&scope.placed).filter(|(_, placed)| **placed) {
         let mut first: BTreeMap<[u64; 9], Location> = BTreeMap::new();
@@ -91,7 +91,7 @@ fn same_quadrics(scope: &Scope<'_>, faults: &mut Faults) {
     }
 }
 
-/// A shape without its facing, as bits: equal for equal surfaces.
+/// Returns the bits of a shape without its facing; they are equal for equal surfaces.
 fn bits(shape: &Shape) -> [u64; 9] {
     let (tag, a, b, c, d) = match *shape {
         Shape::Sphere { center, radius, .. } => (0.0, center, DVec3::ZERO, radius, 0.0),
@@ -99,11 +99,11 @@ fn bits(shape: &Shape) -> [u64; 9] {
         Shape::Ring { center, normal, inner, outer } => (2.0, center, normal, inner, outer),
         Shape::Torus { center, axis, major, minor, .. } => (3.0, center, axis, major, minor),
     };
-    // Adding 0 makes one zero of the two.
+    // Adding 0 turns -0 into 0.
     [tag, a.x, a.y, a.z, b.x, b.y, b.z, c, d].map(|value: f64| (value + 0.0).to_bits())
 }
 
-/// Area that two triangles in one plane share, if it is more than a seam.
+/// Returns the area that two triangles in one plane share, if it is more than a seam.
 fn coincident(a: &Plane, b: &Plane, tolerance: f64) -> Option<(f64, Sense)> {
     let (large, small) = if a.area >= b.area { (a, b) } else { (b, a) };
     let (low, high) = large.distances(small);

@@ -13,7 +13,7 @@ pub struct Clip {
     pub fps: f64,
 }
 
-/// How a path goes between its keys.
+/// Interpolation of a path between its keys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Interpolation {
     /// Linear translations, slerped rotations.
@@ -36,15 +36,15 @@ pub struct Key {
 pub struct MotionPath {
     /// Name.
     pub name: String,
-    /// Where it was opened.
+    /// Location of the path's definition.
     pub location: Location,
-    /// Between keys.
+    /// Interpolation between keys.
     pub interpolation: Interpolation,
     /// The keys.
     pub keys: Vec<Key>,
 }
 
-/// A transform that may change over time: the steps are applied to a point first to last.
+/// A transform that may change over time. The steps are applied to a point from first to last.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Motion {
     /// Steps, applied to a point in this order; empty = identity.
@@ -61,7 +61,7 @@ pub enum MotionStep {
 }
 
 impl Motion {
-    /// A motion that never moves.
+    /// Returns a motion that never changes.
     pub fn fixed(transform: Transform) -> Self {
         if transform == Transform::IDENTITY {
             return Self::default();
@@ -69,7 +69,7 @@ impl Motion {
         Self { steps: vec![MotionStep::Static(transform)] }
     }
 
-    /// The one transform of a motion that does not depend on time.
+    /// Returns the transform of a motion that does not depend on time.
     pub fn as_static(&self) -> Option<Transform> {
         self.steps.iter().try_fold(Transform::IDENTITY, |done, step| match step {
             MotionStep::Static(t) => Some(*t * done),
@@ -77,18 +77,18 @@ impl Motion {
         })
     }
 
-    /// The transform as a homogeneous matrix, for printing.
+    /// Returns the transform as a homogeneous matrix, for printing.
     pub fn static_matrix(&self) -> Option<DMat4> {
         self.as_static().map(DMat4::from)
     }
 }
 
-/// A scalar over time: linear between keys, constant outside.
+/// A scalar over time: linear between keys, constant before the first and after the last key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Vary {
-    /// Selector, `medium.fog.sigma_s`.
+    /// Selector, such as `medium.fog.sigma_s`.
     pub selector: String,
-    /// Where the file has it.
+    /// Location in the file.
     pub location: Location,
     /// (time in s, value), strictly ascending in time, at least one.
     pub keys: Vec<(f64, f64)>,

@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 pub struct Camera {
     /// Name.
     pub name: String,
-    /// Where it was opened.
+    /// Location of the camera's definition.
     pub location: Location,
     /// Eye, m.
     pub origin: DVec3,
-    /// Looked-at point, m.
+    /// Point that the camera looks at, m.
     pub target: DVec3,
     /// Up direction; not parallel to the view.
     pub up: DVec3,
@@ -21,7 +21,7 @@ pub struct Camera {
     pub film: [u32; 2],
     /// Lens radius, m; 0 = pinhole.
     pub lens_radius: f64,
-    /// Distance of the plane in focus from the eye along the view axis, m.
+    /// Distance of the focal plane from the eye along the view axis, m.
     pub focus: f64,
     /// Shutter opening, fraction of the frame interval.
     pub shutter_open: f64,

@@ -2,7 +2,7 @@ use super::{GroupId, Location, MaterialId, Motion, ObjectId, PhotometryId};
 use femc_math::glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Surfaces that move together, in the group's own frame; placed in other groups by instances.
+/// Surfaces that move together, in the group's own frame. Instances place a group in other groups.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Group {
     /// Vertices of all faces.
@@ -20,7 +20,8 @@ pub struct Group {
 }
 
 impl Group {
-    /// Where the group's own surfaces and luminaires are, its frame, m: vertices, and middles of what has none.
+    /// Iterates over positions of the group's own surfaces and luminaires, in its frame, m: all vertices, and the middles of shapes
+    /// and luminaires.
     pub fn places(&self) -> impl Iterator<Item = DVec3> + '_ {
         let vertices = self.vertices.iter().map(|vertex| vertex.position);
         let quadrics = self.quadrics.iter().map(|quadric| quadric.shape.middle());
@@ -28,7 +29,7 @@ impl Group {
     }
 }
 
-/// A vertex in the group's frame.
+/// A vertex, in the group's frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Vertex {
     /// Position, m.
@@ -39,18 +40,18 @@ pub struct Vertex {
     pub uv: Option<DVec2>,
 }
 
-/// One planar polygon as the file gave it.
+/// A planar polygon as given in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Face {
     /// First index into [`Group::triangles`].
     pub first_triangle: u32,
-    /// Number of triangles (0 for a face without area: kept for its diagnosis).
+    /// Number of triangles; 0 for a face without area, which is kept for diagnosis.
     pub triangle_count: u32,
     /// Material.
     pub material: MaterialId,
     /// Innermost object.
     pub object: Option<ObjectId>,
-    /// Where the file has it.
+    /// Location in the file.
     pub location: Location,
 }
 
@@ -63,11 +64,11 @@ pub struct Quadric {
     pub material: MaterialId,
     /// Innermost object.
     pub object: Option<ObjectId>,
-    /// Where the file has it.
+    /// Location in the file.
     pub location: Location,
 }
 
-/// Whether the front side is the outer or the inner one.
+/// Orientation of a shape: whether its front side is the outer or the inner one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Facing {
     /// Normals point outward.
@@ -76,8 +77,8 @@ pub enum Facing {
     Inward,
 }
 
-/// Curved shapes. Radii are positive; `axis` vectors are unit. Shapes are never sheared or scaled unevenly: MGF's transforms
-/// are similarities, so an importer maps shapes exactly.
+/// Curved shapes. Radii are positive; `axis` vectors are unit vectors. Shapes are never sheared or scaled unevenly: MGF's
+/// transforms are similarities, so an importer maps shapes exactly.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Shape {
     /// A sphere.
@@ -129,7 +130,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// A point in its middle.
+    /// Returns the center of the shape.
     pub fn middle(&self) -> DVec3 {
         match *self {
             Self::Sphere { center, .. } | Self::Ring { center, .. } | Self::Torus { center, .. } => center,
@@ -141,7 +142,7 @@ impl Shape {
 /// A luminaire with measured photometry. The photometric frame of LM-63 is the local one: nadir is -z, C0 is +x.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Luminaire {
-    /// Its intensity distribution.
+    /// Intensity distribution.
     pub photometry: PhotometryId,
     /// Local frame to the group's frame.
     pub to_group: femc_math::Transform,
@@ -151,15 +152,15 @@ pub struct Luminaire {
     pub color: [f64; 3],
     /// Innermost object.
     pub object: Option<ObjectId>,
-    /// Where the file has it.
+    /// Location in the file.
     pub location: Location,
 }
 
 /// A placement of a group.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Instance {
-    /// What is placed.
+    /// Group that is placed.
     pub group: GroupId,
-    /// Where: group frame to parent frame.
+    /// Transform from the group's frame to the parent's frame.
     pub motion: Motion,
 }

@@ -12,18 +12,18 @@ pub enum PhotometryType {
     C,
 }
 
-/// Luminous opening, in the luminaire's own frame, metres.
+/// Luminous opening, in the luminaire's own frame, meters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Opening {
     /// A point.
     Point,
-    /// A box (flat where the height is 0): x along `length` (C0..C180), y along `width`.
+    /// A box (flat if the height is 0): x along `length` (C0..C180), y along `width`.
     Box {
-        /// Along y, m.
+        /// Extent along y, m.
         width: f64,
-        /// Along x, m.
+        /// Extent along x, m.
         length: f64,
-        /// Along z, m.
+        /// Extent along z, m.
         height: f64,
     },
     /// A vertical cylinder or disc.
@@ -40,10 +40,10 @@ pub enum Opening {
     },
 }
 
-/// A luminous intensity distribution. Multipliers and ballast factors of the file are already in `candela`.
+/// A luminous intensity distribution. `candela` already includes the multipliers and ballast factors of the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Photometry {
-    /// Path as the scene names it.
+    /// Path as given in the scene file.
     pub path: String,
     /// Coordinate system of the angles.
     pub kind: PhotometryType,
@@ -51,10 +51,10 @@ pub struct Photometry {
     pub vertical: Vec<f64>,
     /// Horizontal angles, degrees, strictly ascending.
     pub horizontal: Vec<f64>,
-    /// cd; `candela[h * vertical.len() + v]`.
+    /// Luminous intensity, cd: `candela[h * vertical.len() + v]`.
     pub candela: Vec<f64>,
     /// The luminous opening.
     pub opening: Opening,
-    /// Where the scene includes it first.
+    /// Location where the scene first includes the file.
     pub location: Location,
 }

@@ -2,7 +2,7 @@ use super::{ImageId, Location, MediumId};
 use femc_math::color::LUMINANCE_WEIGHTS;
 use serde::{Deserialize, Serialize};
 
-/// A scalar with a colour: the product is what counts; selectors set `amount`.
+/// A scalar with a color. The value is the product of both; selectors set `amount`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Tinted {
     /// The scalar of the file (reflectance, transmittance, or emittance in lm/m2).
@@ -12,8 +12,8 @@ pub struct Tinted {
 }
 
 impl Tinted {
-    /// Rec.709 luminance of the product: the photometric reflectance, transmittance or emittance. The amount itself where
-    /// the color has luminance 1; less for a darker raw RGB.
+    /// Returns the Rec.709 luminance of the product: the photometric reflectance, transmittance or emittance. It equals the amount
+    /// if the color has luminance 1, and is less for a darker raw RGB.
     pub fn luminous(&self) -> f64 {
         let weights = LUMINANCE_WEIGHTS.to_array().map(f64::from);
         let weighted: f64 = self.color.iter().zip(weights).map(|(channel, weight)| channel * weight).sum();
@@ -27,12 +27,12 @@ impl Default for Tinted {
     }
 }
 
-/// Which sides of a surface exist.
+/// Sides of a surface that exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Sides {
-    /// Invisible from behind unless the material has an index of refraction, when it bounds a solid.
+    /// Invisible from behind, unless the material has an index of refraction: then the surface bounds a solid.
     One,
-    /// The same from both sides; emits from both.
+    /// Looks the same from both sides and emits from both.
     #[default]
     Two,
 }
@@ -51,7 +51,7 @@ pub struct Ior {
 pub struct Material {
     /// Name; empty for the unnamed material.
     pub name: String,
-    /// Where it was opened.
+    /// Location of the material's definition.
     pub location: Location,
     /// Sidedness.
     pub sides: Sides,
@@ -67,7 +67,7 @@ pub struct Material {
     pub ts: Tinted,
     /// GGX roughness of `ts`.
     pub ts_alpha: f64,
-    /// Index of refraction, when given.
+    /// Index of refraction, if given.
     pub ior: Option<Ior>,
     /// Emittance, lm/m2.
     pub ed: Tinted,
@@ -84,19 +84,20 @@ pub struct Material {
 }
 
 impl Material {
-    /// Most that [`Self::reflectance_sum`] may be: 1 and room for rounded decimals.
+    /// Maximum of [`Self::reflectance_sum`]: 1 plus a tolerance for rounded decimals.
     pub const SUM_LIMIT: f64 = 1.0 + 1e-4;
 
-    /// What of equal-energy light the surface gives back in all, photometrically: rd + td + rs + ts, each times the
-    /// luminance of its color.
+    /// Returns the share of equal-energy light that the surface reflects and transmits in total, photometrically: rd + td + rs +
+    /// ts, each times the luminance of its color.
     pub fn reflectance_sum(&self) -> f64 {
         [&self.rd, &self.td, &self.rs, &self.ts].into_iter().map(Tinted::luminous).sum()
     }
 
-    /// Share of the light of a channel (0 red, 1 green, 2 blue) that the parts of the material ask for together. The renderer
-    /// limits a channel that asks for more than 1.
+    /// Returns the share of a channel's light (0 red, 1 green, 2 blue) that all parts of the material demand together. The renderer
+    /// limits a channel that demands more than 1.
     ///
-    /// Parts below an interface with an index of refraction get what it does not reflect, so they need no room for it.
+    /// Parts below an interface with an index of refraction receive only the light that the interface does not reflect, so they do
+    /// not compete with it.
     pub fn asked_of_channel(&self, channel: usize) -> f64 {
         let [rd, td, rs, ts] =
             [&self.rd, &self.td, &self.rs, &self.ts].map(|part| (part.amount * part.color[channel]).max(0.0));

@@ -15,14 +15,14 @@ pub enum Phase {
     },
     /// Schlick's approximation with parameter k in (-1, 1).
     Schlick {
-        /// Its parameter.
+        /// Parameter k.
         k: f64,
     },
     /// 3 / (16 pi) (1 + cos^2).
     Rayleigh,
 }
 
-/// Factor on both coefficients.
+/// Spatial factor on both coefficients.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Density {
     /// 1 everywhere.
@@ -42,36 +42,36 @@ pub enum Density {
 pub struct Medium {
     /// Name.
     pub name: String,
-    /// Where it was opened.
+    /// Location of the medium's definition.
     pub location: Location,
-    /// Scattering coefficient, 1/m (amount; selectors set it).
+    /// Scattering coefficient, 1/m (the amount; selectors set it).
     pub sigma_s: f64,
-    /// Colour factor on `sigma_s`; (1, 1, 1) unless raw RGB was given.
+    /// Color factor on `sigma_s`; (1, 1, 1) unless raw RGB was given.
     pub color: [f64; 3],
-    /// Absorption coefficient, 1/m (amount; selectors set it).
+    /// Absorption coefficient, 1/m (the amount; selectors set it).
     pub sigma_a: f64,
     /// Color factor on `sigma_a`; (1, 1, 1) unless raw RGB was given between `sigma_s` and `sigma_a`.
     pub absorption_color: [f64; 3],
     /// Phase function.
     pub phase: Phase,
-    /// Isotropic emission, lm/m3: the emitted radiance per metre is `glow / (4 pi)`.
+    /// Isotropic emission, lm/m3: the emitted radiance per meter is `glow / (4 pi)`.
     pub glow: f64,
-    /// Colour of the glow, luminance 1 unless raw RGB.
+    /// Color of the glow, luminance 1 unless raw RGB.
     pub glow_color: [f64; 3],
     /// Density factor.
     pub density: Density,
 }
 
 impl Medium {
-    /// Greatest number of closed solids with media, one in another, whose media a path keeps count of.
+    /// Maximum number of nested closed solids whose media a path tracks.
     pub const MOST_NESTED: usize = 8;
 
-    /// Extinction coefficient of each channel at density 1, 1/m.
+    /// Returns the extinction coefficient of each channel at density 1, 1/m.
     pub fn extinction(&self) -> [f64; 3] {
         [0, 1, 2].map(|i| self.sigma_s * self.color[i] + self.sigma_a * self.absorption_color[i])
     }
 
-    /// Whether it neither scatters nor absorbs nor glows, as it is now.
+    /// Returns whether the medium neither scatters nor absorbs nor glows, with its present coefficients.
     pub fn is_nothing(&self) -> bool {
         let is_black = |color: [f64; 3], amount: f64| color.iter().all(|channel| channel * amount <= 0.0);
         is_black(self.color, self.sigma_s)
@@ -80,21 +80,21 @@ impl Medium {
     }
 }
 
-/// Where a medium is. Overlapping regions add up.
+/// Placement of a medium. Overlapping regions add up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MediumRegion {
     /// The medium.
     pub medium: MediumId,
     /// The volume.
     pub bounds: RegionBounds,
-    /// Where the file has it.
+    /// Location in the file.
     pub location: Location,
 }
 
 /// The volume of a region.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum RegionBounds {
-    /// Everywhere, the camera included.
+    /// All space, including the camera.
     Everywhere,
     /// A box in its own frame.
     Box {

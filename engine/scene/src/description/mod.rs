@@ -1,4 +1,4 @@
-//! The description: plain data, filled by an importer, read by the preparation of a frame.
+//! Scene description: plain data that an importer fills and the preparation of a frame reads.
 
 mod animation;
 mod camera;
@@ -23,15 +23,15 @@ pub struct Scene {
     pub name: String,
     /// Source files, for [`Location`].
     pub files: Vec<String>,
-    /// Materials in order of first definition. A material redefined under one name (MGF allows it) is a new entry.
+    /// Materials in order of first definition. A redefinition of a material name (MGF allows it) is a new entry.
     pub materials: Vec<Material>,
-    /// Named objects; nested ones carry dotted names.
+    /// Named objects; nested objects have dotted names.
     pub objects: Vec<Object>,
-    /// Groups of surfaces; `groups[0]` is the world and always present.
+    /// Groups of surfaces; `groups[0]` is the world and always exists.
     pub groups: Vec<Group>,
     /// Participating media.
     pub media: Vec<Medium>,
-    /// Where the media are.
+    /// Regions that the media fill.
     pub regions: Vec<MediumRegion>,
     /// Measured luminous intensity distributions (IES), shared by luminaires.
     pub photometry: Vec<Photometry>,
@@ -47,7 +47,7 @@ pub struct Scene {
     pub varies: Vec<Vary>,
 }
 
-/// A place in a source file, for messages. Line and column count from 1; column 0: the whole line.
+/// A position in a source file, for messages. Line and column count from 1; column 0 means the whole line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Location {
     /// Index into [`Scene::files`].
@@ -64,7 +64,7 @@ macro_rules! ids {
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         pub struct $name(pub u32);
         impl $name {
-            /// As an index.
+            /// Returns the id as an index.
             pub const fn index(self) -> usize { self.0 as usize }
         }
     )*};
@@ -87,21 +87,21 @@ ids! {
     PathId;
 }
 
-/// A named object; surfaces refer to the innermost one that holds them.
+/// A named object. Surfaces refer to the innermost object that contains them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Object {
-    /// Full dotted name, `car.wheel`.
+    /// Full dotted name, such as `car.wheel`.
     pub name: String,
     /// The enclosing object.
     pub parent: Option<ObjectId>,
-    /// Not rendered when true; so is all that it encloses.
+    /// True if the object and all objects that it encloses are not rendered.
     pub hidden: bool,
 }
 
-/// An image texture, row 0 on top.
+/// An image texture. Row 0 is at the top.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Image {
-    /// Path as the scene names it.
+    /// Path as given in the scene file.
     pub path: String,
     /// Pixels per row.
     pub width: u32,

@@ -1,9 +1,9 @@
-//! The scalars of materials, media and cameras: their names, where they are kept, and what each may be by itself.
+//! Scalars of materials, media and cameras: their names, their storage and the range of each.
 
 use super::Constraint;
 use crate::description::{Camera, Density, Ior, Material, Medium, Phase, Sides, Tinted};
 
-/// Widest and highest film, pixels; the limit of textures.
+/// Maximum width and height of the film, pixels; the limit of textures.
 const FILM_LIMIT: u32 = 32768;
 
 /// A tinted quantity of a material.
@@ -174,7 +174,7 @@ impl MediumField {
         }
     }
 
-    /// Leaves a medium without this scalar as it is.
+    /// Writes the scalar. A medium without this scalar stays unchanged.
     pub(super) fn write(self, medium: &mut Medium, value: f64) {
         match (self, &mut medium.phase, &mut medium.density) {
             (Self::Scattering, ..) => medium.sigma_s = value,

@@ -2,23 +2,23 @@
 //!
 //! | selector | scalar |
 //! | --- | --- |
-//! | `material.NAME.rd\|td\|rs\|ts\|ed` | the amount; `.r`, `.g`, `.b` after it: the colour's channels |
+//! | `material.NAME.rd\|td\|rs\|ts\|ed` | the amount; `.r`, `.g`, `.b` after it: the color's channels |
 //! | `material.NAME.rs_alpha\|ts_alpha` | GGX roughness |
-//! | `material.NAME.ir`, `.ir.im` | index of refraction, where the material has one |
+//! | `material.NAME.ir`, `.ir.im` | index of refraction, if the material has one |
 //! | `material.NAME.lobe` | exponent of the emission lobe; 0 = Lambertian |
 //! | `material.NAME.sides` | 1 or 2 |
-//! | `medium.NAME.sigma_s\|sigma_a\|glow` | coefficients; `sigma_s.r`, `sigma_a.r`, `glow.r` ..: the colours' channels |
-//! | `medium.NAME.phase.g`, `.phase.k` | parameter of `hg`, of `schlick`, where the medium has it |
-//! | `medium.NAME.density.z0`, `.density.h` | height fog, where the medium is one |
+//! | `medium.NAME.sigma_s\|sigma_a\|glow` | coefficients; `sigma_s.r`, `sigma_a.r`, `glow.r` ..: the colors' channels |
+//! | `medium.NAME.phase.g`, `.phase.k` | parameter of `hg`, of `schlick`, if the medium has it |
+//! | `medium.NAME.density.z0`, `.density.h` | height fog, if the medium is one |
 //! | `camera.NAME.origin.x` .., `target.x` .., `up.x` .., `fov`, `film.w`, `film.h`, `lens`, `focus`, `shutter.open`, `shutter.close` | camera |
 //! | `object.NAME.hidden` | 0 or 1 |
-//! | `object.NAME.multiplier` | the factor (`-m`) of all IES luminaires in the object, nested ones too |
-//! | `ies.PATH.multiplier` | the same of all luminaires of one file |
+//! | `object.NAME.multiplier` | the factor (`-m`) of all IES luminaires in the object, including nested ones |
+//! | `ies.PATH.multiplier` | the factor (`-m`) of all luminaires of one file |
 //! | `path.NAME.K.time\|x\|y\|z` | time and translation of key K = 1, 2, .. |
 //! | `time.t0\|t1\|fps` | the clip |
 //!
-//! Names may hold dots (`object.car.wheel.hidden`). Where several entries share a name (a material redefined), all that
-//! have the scalar are set and the first is read.
+//! Names may contain dots (`object.car.wheel.hidden`). If several entities share a name (a redefined material), a write sets all of
+//! them that have the scalar, and a read returns the first.
 
 mod field;
 mod nearest;
@@ -28,13 +28,13 @@ use crate::description::{Camera, Clip, Luminaire, Material, Medium, MotionPath, 
 use slot::Slot;
 use std::fmt;
 
-/// Why a selector could not be used.
+/// Error of a selector.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SelectorError {
     /// No scalar of the scene has this name.
     #[error("no scalar of the scene is called `{selector}`; nearest: {}", Names(nearest))]
     Unknown {
-        /// The selector as given.
+        /// The selector, as given.
         selector: String,
         /// The three nearest names.
         nearest: Vec<String>,
@@ -46,7 +46,7 @@ pub enum SelectorError {
         selector: String,
         /// The value.
         value: f64,
-        /// What it breaks.
+        /// Constraint that the value violates.
         constraint: Constraint,
     },
     /// The scalar cannot change over time.
@@ -58,7 +58,7 @@ pub enum SelectorError {
 }
 
 impl SelectorError {
-    /// The selector at fault.
+    /// Returns the selector that caused the error.
     pub fn selector(&self) -> &str {
         match self {
             Self::Unknown { selector, .. } | Self::Refused { selector, .. } | Self::Timeless { selector } => selector,
@@ -66,28 +66,28 @@ impl SelectorError {
     }
 }
 
-/// What the value of a scalar must obey.
+/// Constraint on the value of a scalar.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Constraint {
     /// Any finite number.
     #[error("it must be finite")]
     Finite,
-    /// No less than 0.
+    /// At least 0.
     #[error("it must be 0 or more")]
     NotNegative,
-    /// More than 0.
+    /// Greater than 0.
     #[error("it must be more than 0")]
     Positive,
-    /// Between two bounds, bounds included.
+    /// Between two bounds, inclusive.
     #[error("it must be from {0} to {1}")]
     Within(f64, f64),
-    /// Between two bounds, bounds excluded.
+    /// Between two bounds, exclusive.
     #[error("it must be between {0} and {1}, neither included")]
     Between(f64, f64),
     /// One of two values.
     #[error("it must be {0} or {1}")]
     Either(u8, u8),
-    /// A whole number up to a limit, at least 1.
+    /// A whole number from 1 to a limit.
     #[error("it must be a whole number from 1 to {0}")]
     Count(u32),
     /// [`Material::reflectance_sum`] would exceed 1.
@@ -96,7 +96,7 @@ pub enum Constraint {
     /// The shutter would close before it opens.
     #[error("the shutter would close before it opens")]
     Shutter,
-    /// The camera would look nowhere.
+    /// The camera would have no view direction.
     #[error("the camera's target would be at its origin, or its up direction along the view")]
     View,
     /// The keys of the path would not ascend.
@@ -121,7 +121,7 @@ impl fmt::Display for Names<'_> {
     }
 }
 
-/// The parts of a scene that scalars live in, apart from its geometry and images: cheap to copy for every frame.
+/// Parts of a scene that contain scalars, without its geometry and images: cheap to copy for every frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scalars {
     /// As [`Scene::materials`].
@@ -130,7 +130,7 @@ pub struct Scalars {
     pub objects: Vec<Object>,
     /// As [`Scene::media`].
     pub media: Vec<Medium>,
-    /// As [`Scene::cameras`]; not yet carried along their paths ([`Camera::at`]).
+    /// As [`Scene::cameras`]; not yet moved along their paths ([`Camera::at`]).
     pub cameras: Vec<Camera>,
     /// As [`Scene::paths`].
     pub paths: Vec<MotionPath>,
@@ -138,7 +138,7 @@ pub struct Scalars {
     pub luminaires: Vec<Vec<Luminaire>>,
 }
 
-/// All that selectors read.
+/// Data that selectors read.
 struct View<'a> {
     materials: &'a [Material],
     objects: &'a [Object],
@@ -150,7 +150,7 @@ struct View<'a> {
     clip: Option<&'a Clip>,
 }
 
-/// All that selectors write.
+/// Data that selectors write.
 struct Parts<'a> {
     materials: &'a mut [Material],
     objects: &'a mut [Object],
@@ -175,7 +175,8 @@ impl Parts<'_> {
         }
     }
 
-    /// Sets every slot to its value, then checks what the touched entities must obey together; puts all back on failure.
+    /// Sets every slot to its value, then checks the constraints that join several scalars of the changed entities. Restores all
+    /// values on failure.
     fn apply(&mut self, wanted: &[(Vec<Slot>, f64)]) -> Result<(), (usize, Constraint)> {
         let mut done = Vec::new();
         let outcome = self.write_all(wanted, &mut done);
@@ -199,7 +200,7 @@ impl Parts<'_> {
                 slot.write(self, *value);
             }
         }
-        // Backwards: the last of the scalars that break a rule together is the one to blame.
+        // Backwards, so that the error names the last of the scalars that violate a constraint together.
         for (index, (slots, _)) in wanted.iter().enumerate().rev() {
             for slot in slots {
                 slot.consistent(&self.view()).map_err(|constraint| (index, constraint))?;
@@ -210,13 +211,13 @@ impl Parts<'_> {
 }
 
 impl Scene {
-    /// Sets one scalar at all times; see [`Self::set_all`].
+    /// Sets one scalar for all times; see [`Self::set_all`].
     pub fn set(&mut self, selector: &str, value: f64) -> Result<(), SelectorError> {
         self.set_all(&[(selector, value)])
     }
 
-    /// Sets scalars, in order, for all times: a `vary` of the same scalar goes. Values are checked together at the end,
-    /// so two that only make sense together may be given in either order. On failure the scene is as before.
+    /// Sets scalars, in order, for all times: a `vary` of the same scalar is removed. Values are checked together at the end, so
+    /// two values that are only valid together may be given in either order. On failure the scene is unchanged.
     pub fn set_all<S: AsRef<str>>(&mut self, values: &[(S, f64)]) -> Result<(), SelectorError> {
         let wanted = self.resolve_all(values)?;
         self.parts().apply(&wanted).map_err(|(index, constraint)| refused(&values[index], constraint))?;
@@ -224,20 +225,20 @@ impl Scene {
         Ok(())
     }
 
-    /// The value of a scalar, without its `vary`; of the first entity where several share the name.
+    /// Returns the value of a scalar, ignoring its `vary`. If several entities share the name, it is the value of the first.
     pub fn get(&self, selector: &str) -> Result<f64, SelectorError> {
         let view = self.view();
         let first = slot::resolve(&view, selector).first().and_then(|slot| slot.read(&view));
         first.ok_or_else(|| self.unknown(selector))
     }
 
-    /// All names that [`Self::set`] knows, in the order of the scene, each once.
+    /// Returns all names that [`Self::set`] accepts, in the order of the scene, each once.
     pub fn selectors(&self) -> Vec<String> {
         slot::names(&self.view())
     }
 
-    /// The scalars at `time` (s): what varies has its value of that time, the rest is as in the description. A varied
-    /// scalar that has only two values (`hidden`, `sides`) takes the nearer one: it switches half way between keys.
+    /// Returns the scalars at `time` (s). A varied scalar has its value at that time; the others are as in the description. A
+    /// varied scalar with only two values (`hidden`, `sides`) takes the nearer one, so it switches half way between keys.
     pub fn scalars_at(&self, time: f64) -> Result<Scalars, SelectorError> {
         let mut scalars = Scalars {
             materials: self.materials.clone(),

@@ -1,14 +1,14 @@
-//! The names nearest to a mistyped one.
+//! Suggestions for a mistyped name.
 
-/// The three of `names` with the least edit distance to `wanted`, nearest first; equal distances keep their order.
+/// Returns the three `names` with the least edit distance to `wanted`, nearest first; equal distances keep their order.
 pub fn nearest(wanted: &str, names: &[String]) -> Vec<String> {
     let mut ranked: Vec<(usize, &String)> = names.iter().map(|name| (distance(wanted, name), name)).collect();
     ranked.sort_by_key(|entry| entry.0);
     ranked.into_iter().take(3).map(|(_, name)| name.clone()).collect()
 }
 
-/// Edit distance with neighbour swaps (optimal string alignment \[boytsov2011\]): letters added, dropped, changed or
-/// swapped.
+/// Returns the edit distance that counts inserted, deleted, changed and transposed neighboring letters (optimal string alignment
+/// \[boytsov2011\]).
 fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     let mut two_back = vec![0; b.len() + 1];

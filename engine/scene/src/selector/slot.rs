@@ -1,4 +1,4 @@
-//! A slot is one scalar of one entity; a selector resolves to the slots of all entities with its name.
+//! Slots: a slot is one scalar of one entity. A selector resolves to the slots of all entities with its name.
 
 use super::{
     Constraint, Parts, View,
@@ -10,7 +10,7 @@ use crate::{
 };
 use std::collections::BTreeSet;
 
-/// One scalar of one entity; numbers are indices in the scene.
+/// One scalar of one entity. Numbers are indices in the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Slot {
     Material(usize, MaterialField),
@@ -47,7 +47,7 @@ impl ClipField {
 }
 
 impl Slot {
-    /// `None` where the entity lacks the scalar.
+    /// Reads the value; `None` if the entity lacks the scalar.
     pub(super) fn read(&self, view: &View<'_>) -> Option<f64> {
         match *self {
             Self::Material(index, field) => field.read(&view.materials[index]),
@@ -70,7 +70,8 @@ impl Slot {
         }
     }
 
-    /// - `value`: one that [`Self::admits`] accepts.
+    /// Writes the value.
+    /// - `value`: a value that [`Self::admits`] accepts.
     pub(super) fn write(&self, parts: &mut Parts<'_>, value: f64) {
         match *self {
             Self::Material(index, field) => field.write(&mut parts.materials[index], value),
@@ -97,7 +98,7 @@ impl Slot {
         }
     }
 
-    /// Whether the scalar may have this value, whatever the others are.
+    /// Checks the value on its own, without regard to other scalars.
     pub(super) fn admits(&self, value: f64) -> Result<(), Constraint> {
         match self {
             Self::Material(_, field) => field.admits(value),
@@ -110,7 +111,7 @@ impl Slot {
         }
     }
 
-    /// Whether the slot's entity obeys the rules that join several of its scalars.
+    /// Checks the constraints that join several scalars of the slot's entity.
     pub(super) fn consistent(&self, view: &View<'_>) -> Result<(), Constraint> {
         match *self {
             Self::Material(index, MaterialField::Amount(_) | MaterialField::Channel(..)) => {
@@ -128,12 +129,12 @@ impl Slot {
         }
     }
 
-    /// Whether the scalar has only two values.
+    /// Returns whether the scalar has only two values.
     pub(super) fn is_switch(&self) -> bool {
         matches!(self, Self::Hidden(_) | Self::Material(_, MaterialField::Sides))
     }
 
-    /// Whether the scalar holds for the whole clip and so cannot vary over time.
+    /// Returns whether the scalar holds for the whole clip and so cannot vary over time.
     pub(super) fn is_timeless(&self) -> bool {
         matches!(self, Self::Clip(_) | Self::Camera(_, CameraField::Film(_)))
     }
@@ -152,7 +153,7 @@ fn framing(camera: &Camera) -> Result<(), Constraint> {
     require(crossed > 1e-12 * view.length() * camera.up.length(), Constraint::View)
 }
 
-/// All slots that `selector` names; empty if none.
+/// Returns all slots that `selector` names; empty if there are none.
 pub(super) fn resolve(view: &View<'_>, selector: &str) -> Vec<Slot> {
     let mut slots = Vec::new();
     let Some((kind, rest)) = selector.split_once('.') else { return slots };
@@ -195,7 +196,7 @@ pub(super) fn resolve(view: &View<'_>, selector: &str) -> Vec<Slot> {
     slots
 }
 
-/// The entities and their fields that `rest` = "NAME.field" names.
+/// Returns the entities and fields that `rest` = "NAME.field" names.
 fn matches<'a, F: Copy>(names: impl Iterator<Item = &'a str>, rest: &str, fields: &[(&str, F)]) -> Vec<(usize, F)> {
     let field_of = |name: &str| {
         let field = rest.strip_prefix(name)?.strip_prefix('.')?;
@@ -238,7 +239,7 @@ fn keys(view: &View<'_>, rest: &str, slots: &mut Vec<Slot>) {
     }
 }
 
-/// The names of all slots, in the order of the scene, each once.
+/// Returns the names of all slots, in the order of the scene, each once.
 pub(super) fn names(view: &View<'_>) -> Vec<String> {
     let (mut seen, mut names) = (BTreeSet::new(), Vec::new());
     let mut add = |name: String| {
@@ -280,7 +281,7 @@ pub(super) fn names(view: &View<'_>) -> Vec<String> {
     names
 }
 
-/// The objects that hold a luminaire, directly or deeper.
+/// Returns the objects that contain a luminaire, directly or nested.
 fn objects_with_luminaires(view: &View<'_>) -> BTreeSet<usize> {
     let mut lit = BTreeSet::new();
     for luminaire in view.luminaires.iter().copied().flatten() {

@@ -1,43 +1,43 @@
-//! Directions in which a luminaire emits, drawn in proportion to its flux.
+//! Emission directions of a luminaire, sampled in proportion to its flux.
 
 use super::Dice;
 use crate::description::{Photometry, PhotometryType};
 use femc_math::elementary::double::{asin, sin_cos};
 use femc_math::glam::DVec3;
 
-/// Slack of the limits of horizontal angles, degrees, as in the tables of the renderer.
+/// Tolerance on the limits of horizontal angles, degrees, as in the renderer's tables.
 const SLACK: f64 = 1e-3;
 
-/// Cells of a luminaire's table, by their flux.
+/// Cells of a luminaire's table, weighted by their flux.
 pub(crate) struct Beams {
     kind: PhotometryType,
     symmetry: Symmetry,
-    /// In the order of the table; `until` rises.
+    /// Cells in the order of the table; `until` ascends.
     cells: Vec<Cell>,
 }
 
 /// A cell between neighboring angles of the table.
 struct Cell {
-    /// Sum of the flux up to and with this cell, in units of the table.
+    /// Sum of the flux up to and including this cell, in units of the table.
     until: f64,
     vertical: [f64; 2],
     horizontal: [f64; 2],
 }
 
-/// Directions that the table leaves out because they are mirror images of others.
+/// Symmetry of the table: it leaves out directions that are mirror images of others.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Symmetry {
     None,
-    /// About the plane of 0 degrees.
+    /// Mirrored about the plane of 0 degrees.
     Across0,
-    /// About the plane of 90 degrees.
+    /// Mirrored about the plane of 90 degrees.
     Across90,
-    /// About both.
+    /// Mirrored about both planes.
     Quadrants,
 }
 
 impl Beams {
-    /// Returns `None` for a table that emits nothing.
+    /// Builds the cells. Returns `None` for a table that emits nothing.
     pub fn new(table: &Photometry) -> Option<Self> {
         let (first, last) = (*table.horizontal.first()?, *table.horizontal.last()?);
         let is_single = table.horizontal.len() == 1;
@@ -69,7 +69,7 @@ impl Beams {
         (sum > 0.0 && sum.is_finite()).then_some(beams)
     }
 
-    /// Solid angle of a cell, in any unit.
+    /// Returns the solid angle of a cell, in arbitrary units.
     fn solid_angle(&self, vertical: [f64; 2], horizontal: [f64; 2]) -> f64 {
         let sine = |degrees: f64| sin_cos(degrees.to_radians()).0;
         let cosine = |degrees: f64| sin_cos(degrees.to_radians()).1;
@@ -81,15 +81,15 @@ impl Beams {
         }
     }
 
-    /// A unit direction in the luminaire's frame.
-    /// - `at`: share of the flux in the cells before, in [0, 1).
+    /// Returns a random unit direction in the luminaire's frame.
+    /// - `at`: position in the cumulative flux, in [0, 1).
     pub fn direction(&self, at: f64, dice: &mut Dice) -> DVec3 {
         let sum = self.cells.last().map_or(0.0, |cell| cell.until);
         let index = self.cells.partition_point(|cell| cell.until <= at * sum).min(self.cells.len() - 1);
         let Cell { vertical, horizontal, .. } = self.cells[index];
         let [a, b] = [dice.roll(), dice.roll()];
         let even = |[low, high]: [f64; 2], u: f64| low + (high - low) * u;
-        // Angles about the polar axis are even, those from it by solid angle.
+        // Angles about the polar axis are uniform; angles from it are sampled by solid angle.
         let sine = |ends: [f64; 2], u: f64| {
             asin(even(ends.map(|degrees| sin_cos(degrees.to_radians()).0), u).clamp(-1.0, 1.0)).to_degrees()
         };
@@ -108,7 +108,7 @@ impl Beams {
     }
 }
 
-/// Horizontal angles with the planes that they have in the table; up to the limits of the symmetry.
+/// Returns the horizontal angles with their planes in the table, extended to the limits of the symmetry.
 fn planes(table: &Photometry, symmetry: Symmetry) -> Vec<(f64, usize)> {
     let limits = match (table.kind, symmetry) {
         (PhotometryType::C, Symmetry::Quadrants) => Some([0.0, 90.0]),
@@ -137,7 +137,7 @@ fn planes(table: &Photometry, symmetry: Symmetry) -> Vec<(f64, usize)> {
     planes
 }
 
-/// Unit direction of two angles, degrees, in the luminaire's frame: nadir is -z.
+/// Returns the unit direction of two angles, degrees, in the luminaire's frame: nadir is -z.
 fn direction(kind: PhotometryType, vertical: f64, horizontal: f64) -> DVec3 {
     let (sv, cv) = sin_cos(vertical.to_radians());
     let (sh, ch) = sin_cos(horizontal.to_radians());
@@ -176,10 +176,10 @@ mod tests {
         near(mean(&down), [0.0, 0.0, -0.5]);
         near(mean(&table(C, &[0.0, 90.0], &[0.0, 90.0], &[1.0; 4])), [0.0, 0.0, -0.5]);
         near(mean(&table(C, &[0.0, 90.0], &[90.0, 270.0], &[1.0; 4])), [0.0, 0.0, -0.5]);
-        // A floodlight's beam about nadir, and a headlamp's about the horizontal x axis.
+        // A floodlight's beam is centered on nadir, a headlamp's on the horizontal x axis.
         near(mean(&table(B, &[-90.0, 90.0], &[0.0, 90.0], &[1.0; 4])), [0.0, 0.0, -0.5]);
         near(mean(&table(A, &[-90.0, 90.0], &[0.0, 90.0], &[1.0; 4])), [0.5, 0.0, 0.0]);
-        // A narrow beam is hit by every direction.
+        // All directions lie in a narrow beam.
         let beam = table(C, &[0.0, 1.0, 2.0, 180.0], &[0.0], &[9.0, 9.0, 0.0, 0.0]);
         assert!(mean(&beam).z < -0.999);
         assert!(Beams::new(&table(C, &[0.0, 180.0], &[0.0], &[0.0; 2])).is_none());

@@ -4,24 +4,24 @@ use super::Scope;
 use crate::description::{Facing, Material, Shape, Sides};
 use femc_math::glam::DVec3;
 
-/// Most points that are taken; of more, every n-th.
+/// Maximum number of points. If there are more, every n-th is taken.
 const POINTS: usize = 256;
 
-/// A point that light comes from.
+/// A point that emits light.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LampPoint {
     pub place: DVec3,
-    /// Unit normal of the side that emits; `None`: all directions.
+    /// Unit normal of the emitting side; `None` if it emits in all directions.
     pub normal: Option<DVec3>,
 }
 
-/// Whether a material emits light at some time.
+/// Returns whether a material emits light at some time.
 pub(crate) fn emits(scope: &Scope<'_>, material: &Material) -> bool {
     let name = format!("material.{}", material.name);
     scope.scene.largest(&name, "ed", material.ed.amount) > 0.0 && material.ed.color.iter().any(|c| *c > 0.0)
 }
 
-/// Points on all light sources, a bounded number, in order of the scene.
+/// Returns points on all light sources, a bounded number, in the order of the scene.
 pub(crate) fn lamp_points(scope: &Scope<'_>) -> Vec<LampPoint> {
     let emits: Vec<bool> = scope.scene.materials.iter().map(|material| emits(scope, material)).collect();
     let side = |place, normal, sides| {
@@ -46,7 +46,7 @@ pub(crate) fn lamp_points(scope: &Scope<'_>) -> Vec<LampPoint> {
     points.into_iter().step_by(step).collect()
 }
 
-/// Some points of a shape with the normals of its front.
+/// Returns some points of a shape with the normals of its front.
 fn shape_points(shape: &Shape) -> Vec<(DVec3, DVec3)> {
     let (axis, facing) = match *shape {
         Shape::Sphere { facing, .. } => (DVec3::Z, facing),

@@ -1,7 +1,7 @@
-//! The surfaces of a scene where they are in the world, and rays among them: what checks and surveys look with.
+//! Placed surfaces of a scene in world space, and rays among them. Checks and surveys use them.
 //!
-//! Everything is f64 and looks at the start of the clip. These rays are few and answer questions about the description;
-//! no picture is made of them.
+//! All numbers are f64, and the time is the start of the clip. These rays are few and answer questions about the description; no
+//! picture is rendered with them.
 
 mod beams;
 mod lamps;

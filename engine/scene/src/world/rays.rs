@@ -4,16 +4,16 @@ use super::Scope;
 use crate::description::{Facing, Location, Material, MaterialId, Shape, Sides};
 use femc_math::glam::DVec3;
 
-/// A ray of unit direction.
+/// A ray. The direction has unit length.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ray {
     pub origin: DVec3,
     pub dir: DVec3,
-    /// Hits farther away do not count, m.
+    /// Greatest distance of a hit, m.
     pub far: f64,
 }
 
-/// Where a ray meets a surface.
+/// Hit of a ray on a surface.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hit {
     /// Distance, m.
@@ -25,7 +25,7 @@ pub(crate) struct Hit {
 }
 
 impl Hit {
-    /// Whether the ray comes from the front.
+    /// Returns whether the ray hits the front side.
     pub fn is_front(&self, ray: &Ray) -> bool {
         self.normal.dot(ray.dir) < 0.0
     }
@@ -34,25 +34,25 @@ impl Hit {
         scope.scene.materials.get(self.material.index())
     }
 
-    /// Whether the surface is not there for the ray: one-sided, met from behind, and no boundary of a solid.
+    /// Returns whether the surface is invisible to the ray: one-sided, hit from behind, and not the boundary of a solid.
     pub fn is_unseen(&self, scope: &Scope<'_>, ray: &Ray) -> bool {
         let invisible = |material: &Material| material.sides == Sides::One && material.ior.is_none();
         !self.is_front(ray) && self.material(scope).is_some_and(invisible)
     }
 
-    /// Whether some light goes through the surface.
+    /// Returns whether some light passes through the surface.
     pub fn lets_through(&self, scope: &Scope<'_>) -> bool {
         scope.lets_through.get(self.material.index()) == Some(&true)
     }
 }
 
 impl Scope<'_> {
-    /// Distance below which a ray does not meet the surface that it starts on, m.
+    /// Returns the distance within which a ray does not hit the surface that it starts on, m.
     pub fn offset(&self) -> f64 {
         1e-9 * self.bounds.magnitude().max(self.bounds.diagonal())
     }
 
-    /// The nearest surface along a ray, whatever its material.
+    /// Returns the nearest surface along a ray, regardless of its material.
     pub fn first_hit(&self, ray: &Ray) -> Option<Hit> {
         let near = self.offset();
         let mut nearest: Option<Hit> = None;
@@ -77,18 +77,18 @@ impl Scope<'_> {
     }
 }
 
-/// By Möller and Trumbore (\[moller1997\]).
+/// Returns the distance to a triangle, by Möller and Trumbore (\[moller1997\]).
 fn triangle_distance(ray: &Ray, [a, b, c]: [DVec3; 3]) -> Option<f64> {
     let (u, v, from) = (b - a, c - a, ray.origin - a);
     let across = ray.dir.cross(v);
     let determinant = u.dot(across);
     let (x, turned) = (from.dot(across) / determinant, from.cross(u));
     let y = ray.dir.dot(turned) / determinant;
-    // A ray in the plane has no finite place here.
+    // For a ray in the plane these values are not finite.
     (x >= 0.0 && y >= 0.0 && x + y <= 1.0).then(|| v.dot(turned) / determinant)
 }
 
-/// Up to two distances at which a ray meets a shape, with the normal on the front side there.
+/// Returns up to two distances at which a ray hits a shape, each with the normal on the front side.
 fn distances(ray: &Ray, shape: &Shape) -> [Option<(f64, DVec3)>; 2] {
     let facing = |facing: Facing, normal: DVec3| match facing {
         Facing::Outward => normal,
@@ -110,7 +110,7 @@ fn distances(ray: &Ray, shape: &Shape) -> [Option<(f64, DVec3)>; 2] {
             let axis = (end - start) / length;
             let slope = (end_radius - start_radius) / length;
             let from = ray.origin - start;
-            // Radius along the axis is start_radius + slope z; q is the part across the axis.
+            // The radius at height z along the axis is start_radius + slope z; q is the component across the axis.
             let (z, dz) = (from.dot(axis), ray.dir.dot(axis));
             let (q, dq) = (from - z * axis, ray.dir - dz * axis);
             let (r, dr) = (start_radius + slope * z, slope * dz);
@@ -133,7 +133,7 @@ fn distances(ray: &Ray, shape: &Shape) -> [Option<(f64, DVec3)>; 2] {
     }
 }
 
-/// Roots of `a t^2 + 2 b t + c`.
+/// Returns the roots of `a t^2 + 2 b t + c`.
 fn roots(a: f64, b: f64, c: f64) -> [Option<f64>; 2] {
     let discriminant = b * b - a * c;
     if discriminant < 0.0 || a == 0.0 {
@@ -143,7 +143,7 @@ fn roots(a: f64, b: f64, c: f64) -> [Option<f64>; 2] {
     [Some((-b - root) / a), Some((-b + root) / a)]
 }
 
-/// The first place where the distance from a surface changes its sign, by steps of that distance.
+/// Returns the first hit by sphere tracing: the point where the signed distance changes its sign.
 fn march(
     ray: &Ray,
     center: DVec3,

@@ -1,4 +1,4 @@
-//! What the checks share: which surfaces are placed and shown, and where the placed triangles are in the world.
+//! Shared data of the checks: the surfaces that are placed and shown, and the placed triangles in world space.
 
 use super::shine::Effect;
 use super::tree::{Bounds, BoxTree};
@@ -8,23 +8,23 @@ use crate::{
 };
 use femc_math::{Transform, glam::DVec3};
 
-/// Most triangles, curved surfaces and luminaires (each) that are looked at in world space.
+/// Maximum number of triangles in world space; also of curved surfaces, and of luminaires.
 const TRIANGLE_LIMIT: usize = 1_000_000;
-/// Most placements of groups that are followed.
+/// Maximum number of group placements.
 const PLACEMENT_LIMIT: usize = 1_000_000;
 
 /// A triangle in the world.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlacedTriangle {
     pub corners: [DVec3; 3],
-    /// Number of the face's placement: equal for the triangles of one face in one place.
+    /// Number of the placed face; equal for all triangles of one face in one placement.
     pub face: u32,
     pub material: MaterialId,
     pub location: Location,
 }
 
 impl PlacedTriangle {
-    /// Twice the area along the normal.
+    /// Returns the normal, scaled to twice the area.
     pub fn cross(&self) -> DVec3 {
         let [a, b, c] = self.corners;
         (b - a).cross(c - a)
@@ -62,50 +62,50 @@ impl PlacedQuadric {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PlacedLuminaire<'a> {
     pub place: DVec3,
-    /// From the luminaire's own frame.
+    /// Transform from the luminaire's own frame to the world.
     pub to_world: Transform,
     pub luminaire: &'a Luminaire,
 }
 
-/// Whether some light goes through a material, at some time.
+/// Returns whether some light passes through a material at some time.
 fn lets_through(scene: &Scene, material: &Material) -> bool {
     let entity = format!("material.{}", material.name);
     let largest = |field, amount| scene.largest(&entity, field, amount) > 0.0;
     largest("td", material.td.amount) || largest("ts", material.ts.amount)
 }
 
-/// The scene as the checks see it.
+/// The scene, prepared for the checks.
 pub(crate) struct Scope<'a> {
     pub scene: &'a Scene,
     /// Start of the clip, s.
     pub time: f64,
-    /// Which groups are in the world.
+    /// Whether each group is placed in the world.
     pub placed: Vec<bool>,
-    /// Which objects are shown at some time.
+    /// Whether each object is shown at some time.
     pub shown: Vec<bool>,
-    /// Which materials are on a placed surface.
+    /// Whether each material is on a placed surface.
     pub used: Vec<bool>,
-    /// Which materials are on a placed surface that is shown at some time.
+    /// Whether each material is on a placed surface that is shown at some time.
     pub visible: Vec<bool>,
-    /// Whether some light goes through a material, at some time.
+    /// Whether some light passes through each material at some time.
     pub lets_through: Vec<bool>,
-    /// Effects of each material on light that comes to its front and to its back.
+    /// Effects of each material on light that arrives at its front and at its back.
     pub effects: Vec<[Effect; 2]>,
     /// World bounds of surfaces and luminaires.
     pub bounds: Bounds,
     /// Shown triangles.
     pub triangles: Vec<PlacedTriangle>,
-    /// The tree of their bounds.
+    /// Tree of the triangles' bounds.
     pub tree: BoxTree,
     /// Shown spheres.
     pub spheres: Vec<PlacedSphere>,
-    /// Shown curved surfaces, spheres too.
+    /// Shown curved surfaces, including spheres.
     pub quadrics: Vec<PlacedQuadric>,
-    /// The tree of their bounds.
+    /// Tree of the curved surfaces' bounds.
     pub quadric_tree: BoxTree,
     /// Shown luminaires.
     pub luminaires: Vec<PlacedLuminaire<'a>>,
-    /// Whether the limits cut the list of triangles.
+    /// Whether the limits truncated the lists.
     pub is_cut: bool,
 }
 
@@ -158,7 +158,7 @@ impl<'a> Scope<'a> {
         }
     }
 
-    /// Bounds of the world; each group's are found once, children before parents.
+    /// Returns the bounds of the world. The bounds of each group are computed once, children before parents.
     fn group_bounds(&self) -> Bounds {
         let groups = &self.scene.groups;
         let mut known: Vec<Option<Bounds>> = vec![None; groups.len()];
@@ -182,7 +182,7 @@ impl<'a> Scope<'a> {
         known.first().copied().flatten().unwrap_or(Bounds::EMPTY)
     }
 
-    /// World bounds of what is shown, as tight as surfaces are; of everything, where the limits cut the lists.
+    /// Returns tight world bounds of everything shown, or the bounds of the whole world if the limits truncated the lists.
     pub fn shown_bounds(&self) -> Bounds {
         if self.is_cut {
             return self.bounds;
@@ -241,7 +241,7 @@ impl<'a> Scope<'a> {
                     });
                 }
             }
-            // Last in, first out: reversed, so that the order is that of the file.
+            // The stack is last in, first out, so reversing keeps the order of the file.
             open.extend(
                 group.instances.iter().rev().map(|instance| {
                     (instance.group.index(), to_world * instance.motion.at(&self.scene.paths, self.time))
@@ -251,7 +251,7 @@ impl<'a> Scope<'a> {
     }
 }
 
-/// A shape under a similarity.
+/// Transforms a shape by a similarity.
 fn placed_shape(shape: &Shape, to_world: &Transform) -> Shape {
     let scale = to_world.matrix3.x_axis.length();
     let point = |p: DVec3| to_world.transform_point3(p);
@@ -282,7 +282,7 @@ fn placed_shape(shape: &Shape, to_world: &Transform) -> Shape {
 
 fn shape_bounds(shape: &Shape) -> Bounds {
     let around = |center: DVec3, reach: DVec3| Bounds { min: center - reach, max: center + reach };
-    // How far a circle of radius 1 across a unit axis reaches.
+    // Extent along each coordinate axis of a unit circle perpendicular to a unit axis.
     let across = |axis: DVec3| (DVec3::ONE - axis * axis).max(DVec3::ZERO).map(f64::sqrt);
     match *shape {
         Shape::Sphere { center, radius, .. } => around(center, DVec3::splat(radius)),

@@ -1,62 +1,63 @@
-//! The way of light from a lamp, as the methods of rendering find it.
+//! Transport of light from a lamp, as the rendering methods find it.
 //!
-//! Paths start at the camera. So a one-sided surface without an index stops light that comes to its back, as a viewer on the
-//! other side looks at its front, and lets light through that comes to its front, as a viewer behind looks through it.
+//! Rendered paths start at the camera. A one-sided surface without an index of refraction is invisible from behind. It therefore
+//! stops light that arrives at its back, because a viewer on the other side sees its front. It passes light that arrives at its
+//! front, because a viewer behind it looks through it.
 
 use super::{Dice, Hit, Ray, Scope};
 use crate::description::{Material, MaterialId, RegionBounds, Scene, Sides};
 use femc_math::glam::DVec3;
 
-/// Surfaces that are passed or reflect on one way.
+/// Maximum number of surfaces that pass or reflect one ray.
 const PASSED: u32 = 64;
-/// Roughness up to which a lobe is a perfect mirror or perfectly clear, as in the renderer.
+/// Roughness up to which a lobe counts as a perfect mirror or as perfectly clear, as in the renderer.
 const SMOOTH: f64 = 1e-4;
-/// Distance of an index of refraction from 1 up to which nothing bends, as in the renderer.
+/// Difference of the index of refraction from 1 up to which nothing is refracted, as in the renderer.
 const MATCHED: f64 = 1e-3;
-/// Optical depth from which on a medium shows the light that passes through it.
+/// Scattering optical depth above which a medium makes visible the light that crosses it.
 const SHOWS: f64 = 0.05;
 
-/// A place that light of a lamp arrives at, and from which it is scattered.
+/// A point where light of a lamp arrives and is scattered.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LitPlace {
-    /// The place, just before the surface.
+    /// Position, just before the surface.
     pub place: DVec3,
-    /// Unit normal of the side that is lit; `None`: both sides, or a place in a medium.
+    /// Unit normal of the lit side; `None` if both sides are lit, or for a point in a medium.
     pub normal: Option<DVec3>,
 }
 
-/// End of the way of light.
+/// End of a light path.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shone {
-    /// It left the scene.
+    /// The light left the scene.
     Escaped,
-    /// Something scatters it.
+    /// A surface or a medium scatters the light.
     Lit(LitPlace),
-    /// Light of a point met the smooth boundary of a solid that bends it.
+    /// Light of a point lamp hit the smooth boundary of a solid that refracts it.
     Bent(MaterialId),
-    /// Light of a point met a perfect mirror.
+    /// Light of a point lamp hit a perfect mirror.
     Mirrored(MaterialId),
-    /// A surface stops it.
+    /// A surface stops the light.
     Stopped(MaterialId),
 }
 
-/// Effect of a surface on light that comes to one of its sides.
+/// Effect of a surface on light that arrives at one of its sides.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Effect {
-    /// It scatters in more than single directions.
+    /// Whether the surface scatters into a range of directions.
     scatters: bool,
-    /// It scatters to its other side, too.
+    /// Whether the surface also scatters to its other side.
     transmits: bool,
-    /// Light goes straight through.
+    /// Whether light goes straight through.
     passes: bool,
-    /// Light goes through, bent.
+    /// Whether light is refracted through the surface.
     bends: bool,
-    /// Light is reflected into one direction.
+    /// Whether light is reflected into a single direction.
     mirrors: bool,
 }
 
 impl Effect {
-    /// Effects on light that comes to the front and to the back of a material.
+    /// Returns the effects of a material on light that arrives at its front and at its back.
     pub fn both(scene: &Scene, material: &Material) -> [Self; 2] {
         [true, false].map(|is_front| effect(scene, material, is_front))
     }
@@ -76,7 +77,7 @@ fn effect(scene: &Scene, material: &Material, is_front: bool) -> Effect {
     }
     let diffuse = rd || td;
     if let (true, true, Some(away)) = (is_one_sided, ts, index) {
-        // A boundary whose index is not exactly 1 is smooth where it is matched.
+        // If the index is close to 1 but not exactly 1, the boundary is smooth even with a roughness.
         let is_rough = rough_ts && (away == 0.0 || away >= MATCHED);
         let scatters = diffuse || is_rough;
         let passes = away < MATCHED && !is_rough;
@@ -93,8 +94,9 @@ fn effect(scene: &Scene, material: &Material, is_front: bool) -> Effect {
     }
 }
 
-/// Follows light until something scatters or stops it.
-/// - `is_point`: it comes straight from a point, which no path meets: after a mirror or a bend it is not found.
+/// Traces light until something scatters or stops it.
+/// - `is_point`: whether the light comes straight from a point lamp. No path can hit a point, so after a mirror or a refraction
+///   this light is not found.
 pub(crate) fn shine(scope: &Scope<'_>, mut ray: Ray, is_point: bool, dice: &mut Dice) -> Shone {
     let mut mirror = None;
     for _ in 0..PASSED {
@@ -124,11 +126,12 @@ pub(crate) fn shine(scope: &Scope<'_>, mut ray: Ray, is_point: bool, dice: &mut 
             return Shone::Stopped(hit.material);
         }
     }
-    // Between mirrors light is caught; behind so many clear surfaces nothing is known.
+    // The last surface was a mirror: the light is trapped. After many clear surfaces the result is unknown, so the light counts as
+    // escaped.
     mirror.map_or(Shone::Escaped, Shone::Stopped)
 }
 
-/// The middle of a way on which media scatter a share of the light that is seen.
+/// Returns the middle of the segment if media on it scatter a visible share of the light.
 fn in_medium(scope: &Scope<'_>, ray: &Ray, hit: &Hit, is_front: bool) -> Option<LitPlace> {
     let middle = ray.origin + 0.5 * hit.distance * ray.dir;
     let scattering = |index: usize| {
@@ -148,7 +151,7 @@ fn in_medium(scope: &Scope<'_>, ray: &Ray, hit: &Hit, is_front: bool) -> Option<
     (depth > SHOWS).then_some(LitPlace { place: middle, normal: None })
 }
 
-/// A ray of the light that a lit place scatters.
+/// Returns a ray of the light that a lit point scatters.
 pub(crate) fn scattered(scope: &Scope<'_>, lit: &LitPlace, dice: &mut Dice) -> Ray {
     let any = dice.direction();
     let Some(normal) = lit.normal else { return Ray { origin: lit.place, dir: any, far: f64::INFINITY } };

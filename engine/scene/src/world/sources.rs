@@ -1,4 +1,4 @@
-//! Light sources, each as one lamp, and rays of the light that they emit.
+//! Light sources, each as one lamp, and rays of their emitted light.
 
 use super::{Beams, Bounds, BoxTree, Dice, Ray, Scope, emits};
 use crate::description::{Facing, Location, Opening, Shape, Sides};
@@ -8,24 +8,24 @@ use femc_math::glam::DVec3;
 use std::f64::consts::{PI, TAU};
 use std::ops::ControlFlow;
 
-/// Draws of a point on an opening, of which one faces the direction of the light.
+/// Maximum number of samples on an opening until one faces the direction of the light.
 const DRAWS: u32 = 32;
 
 /// A light source.
 pub(crate) struct Source<'a> {
-    /// The first of its parts in the order of the scene.
+    /// Location of its first part in the order of the scene.
     pub location: Location,
     form: Form<'a>,
 }
 
 enum Form<'a> {
-    /// A luminaire at a place.
+    /// A placed luminaire.
     Luminaire { to_world: Transform, photometry: usize, opening: &'a Opening, multiplier: f64 },
-    /// Surfaces of one material that touch each other, with the sum of their areas up to each.
+    /// Touching surfaces of one material, with the cumulative sum of their areas.
     Surfaces { parts: Vec<(f64, Part)>, material: usize },
 }
 
-/// A part of an emitting surface, by its index.
+/// A part of an emitting surface, by index.
 #[derive(Clone, Copy)]
 enum Part {
     Triangle(usize),
@@ -36,11 +36,11 @@ enum Part {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Emitted {
     pub ray: Ray,
-    /// Normal of the emitting side; `None`: the source is a point.
+    /// Normal of the emitting side; `None` if the source is a point.
     pub normal: Option<DVec3>,
 }
 
-/// Groups what touches: the members of each group in ascending order, groups in the order of their first members.
+/// Groups touching items. Members of a group are in ascending order, and groups are in the order of their first members.
 /// - `gap`: distance up to which bounds touch.
 pub(crate) fn touching(bounds: &[Bounds], gap: f64, is_alike: impl Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
     let tree = BoxTree::new(bounds);
@@ -68,7 +68,7 @@ pub(crate) fn touching(bounds: &[Bounds], gap: f64, is_alike: impl Fn(usize, usi
     groups
 }
 
-/// All light sources that emit at some time: luminaires first, then surfaces, each in the order of the scene.
+/// Returns all light sources that emit at some time: luminaires first, then surfaces, each in the order of the scene.
 pub(crate) fn sources<'a>(scope: &Scope<'a>) -> Vec<Source<'a>> {
     let scene = scope.scene;
     let luminaires = scope.luminaires.iter().filter_map(|placed| {
@@ -106,13 +106,13 @@ pub(crate) fn sources<'a>(scope: &Scope<'a>) -> Vec<Source<'a>> {
 }
 
 impl Source<'_> {
-    /// Whether it has no size: no path meets it.
+    /// Returns whether the source has no size, so that no path can hit it.
     pub fn is_point(&self) -> bool {
         matches!(self.form, Form::Luminaire { opening: Opening::Point, .. })
     }
 
-    /// Luminous flux, lm, at the start of the clip.
-    /// - `fluxes`: of each photometric file.
+    /// Returns the luminous flux, lm, at the start of the clip.
+    /// - `fluxes`: luminous flux of each photometric file.
     pub fn lumens(&self, scope: &Scope<'_>, fluxes: &[f64]) -> f64 {
         match &self.form {
             Form::Luminaire { photometry, multiplier, .. } => fluxes.get(*photometry).map_or(0.0, |lm| lm * multiplier),
@@ -124,9 +124,9 @@ impl Source<'_> {
         }
     }
 
-    /// Some of its light; `None`: it emits nothing there.
-    /// - `beams`: of each photometric file.
-    /// - `at`: in [0, 1), equal shares of the light.
+    /// Samples a ray of the emitted light; `None` if the sample emits nothing.
+    /// - `beams`: emission directions of each photometric file.
+    /// - `at`: position in the cumulative emission, in [0, 1).
     pub fn emit(&self, scope: &Scope<'_>, beams: &[Option<Beams>], at: f64, dice: &mut Dice) -> Option<Emitted> {
         match &self.form {
             Form::Luminaire { to_world, photometry, opening, .. } => {
@@ -159,7 +159,7 @@ impl Source<'_> {
     }
 }
 
-/// A direction at this cosine to an axis.
+/// Returns a random direction at this cosine to an axis.
 fn about(axis: DVec3, cosine: f64, dice: &mut Dice) -> DVec3 {
     let (sin, cos) = sin_cos(TAU * dice.roll());
     let u = axis.any_orthonormal_vector();
@@ -167,7 +167,7 @@ fn about(axis: DVec3, cosine: f64, dice: &mut Dice) -> DVec3 {
     (cosine * axis + (1.0 - cosine * cosine).max(0.0).sqrt() * across).normalize_or(axis)
 }
 
-/// A point of an opening in the luminaire's frame that faces a direction, with its normal; no normal: a point.
+/// Samples a point of an opening that faces a direction, in the luminaire's frame, with its normal. A point opening has no normal.
 fn on_opening(opening: &Opening, dir: DVec3, dice: &mut Dice) -> Option<(DVec3, Option<DVec3>)> {
     if *opening == Opening::Point {
         return Some((DVec3::ZERO, None));
@@ -205,7 +205,7 @@ fn on_opening(opening: &Opening, dir: DVec3, dice: &mut Dice) -> Option<(DVec3, 
     None
 }
 
-/// A point of a part, with the normal of its front.
+/// Samples a point of a part, with the normal of its front.
 fn on_part(scope: &Scope<'_>, part: Part, dice: &mut Dice) -> (DVec3, DVec3) {
     match part {
         Part::Triangle(index) => {
@@ -253,7 +253,7 @@ fn on_shape(shape: &Shape, dice: &mut Dice) -> (DVec3, DVec3) {
     }
 }
 
-/// Area of one side, m2.
+/// Returns the area of one side, m2.
 pub(crate) fn area(shape: &Shape) -> f64 {
     match *shape {
         Shape::Sphere { radius, .. } => 4.0 * PI * radius * radius,

@@ -1,13 +1,13 @@
-//! Boxes, and a tree of them that finds the ones near a place.
+//! Axis-aligned boxes, and a tree that finds boxes near a box or along a ray.
 
 use femc_math::Transform;
 use femc_math::glam::{BVec3, DVec3};
 use std::ops::ControlFlow;
 
-/// Boxes in a leaf.
+/// Maximum number of boxes in a leaf.
 const LEAF: usize = 4;
 
-/// An axis-parallel box.
+/// An axis-aligned box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     pub min: DVec3,
@@ -21,7 +21,7 @@ impl Bounds {
         points.into_iter().fold(Self::EMPTY, |bounds, p| Self { min: bounds.min.min(p), max: bounds.max.max(p) })
     }
 
-    /// The bounds of the transformed box.
+    /// Returns the bounds of the transformed box.
     pub fn placed(&self, transform: &Transform) -> Self {
         if self.is_empty() {
             return *self;
@@ -50,12 +50,12 @@ impl Bounds {
         0.5 * (self.min + self.max)
     }
 
-    /// Length of the diagonal; 0 when empty.
+    /// Returns the length of the diagonal; 0 when empty.
     pub fn diagonal(&self) -> f64 {
         if self.is_empty() { 0.0 } else { (self.max - self.min).length() }
     }
 
-    /// Largest coordinate in size; 0 when empty.
+    /// Returns the largest absolute coordinate; 0 when empty.
     pub fn magnitude(&self) -> f64 {
         if self.is_empty() { 0.0 } else { self.min.abs().max(self.max.abs()).max_element() }
     }
@@ -65,14 +65,14 @@ impl Bounds {
 #[derive(Default)]
 pub(crate) struct BoxTree {
     nodes: Vec<Node>,
-    /// Box numbers, those of a leaf side by side.
+    /// Box numbers; those of a leaf are adjacent.
     order: Vec<u32>,
     boxes: Vec<Bounds>,
 }
 
 struct Node {
     bounds: Bounds,
-    /// A leaf's boxes in `order`; empty for an inner node, whose first child is the next node.
+    /// Boxes of a leaf in `order`. Empty for an inner node; its first child is the next node.
     first: u32,
     count: u32,
     second_child: u32,
@@ -106,12 +106,14 @@ impl BoxTree {
         self.build(first + middle, end);
     }
 
-    /// Calls `meet` with the number of every box that the ray meets before `far`, which `meet` may shorten.
+    /// Calls `meet` with the number of every box that the ray hits before `far`. `meet` returns the new `far`, which it may
+    /// shorten.
     pub fn along(&self, origin: DVec3, dir: DVec3, mut far: f64, mut meet: impl FnMut(usize, f64) -> f64) {
         let inverse = dir.recip();
         let meets = |bounds: &Bounds, far: f64| {
             let (a, b) = ((bounds.min - origin) * inverse, (bounds.max - origin) * inverse);
-            // Where a direction is 0 and the origin on the plane, NaN loses against the other value.
+            // If a direction component is 0 and the origin is on the plane, the quotient is NaN. `min` and `max` then return the
+            // other value.
             let (near, end) = (a.min(b).max_element(), a.max(b).min_element());
             near.max(0.0) <= end.min(far)
         };
@@ -130,7 +132,7 @@ impl BoxTree {
         }
     }
 
-    /// Calls `found` with the number of every box that overlaps `near`, in the order of the tree, until it says to stop.
+    /// Calls `found` with the number of every box that overlaps `near`, in the order of the tree, until `found` breaks.
     pub fn find(&self, near: &Bounds, mut found: impl FnMut(usize) -> ControlFlow<()>) -> ControlFlow<()> {
         let mut open = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
         while let Some(index) = open.pop() {

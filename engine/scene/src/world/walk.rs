@@ -1,30 +1,30 @@
-//! Random walks: where light, or a view, gets to from some place by diffuse reflections.
+//! Random walks with diffuse reflections: they show which points light, or a view, can reach.
 //!
-//! They tell whether a space is closed and whether light gets into it, not how much. Their numbers are fixed, so that a
-//! scene has one answer.
+//! Walks tell whether a space is closed and whether light gets into it, but not how much. Their random numbers are fixed, so a
+//! scene always gives the same answer.
 
 use super::{Hit, Ray, Scope};
 use femc_math::glam::DVec3;
 
-/// Reflections of a walk.
+/// Number of reflections of a walk.
 const BOUNCES: u32 = 6;
-/// Surfaces that are passed through on one segment.
+/// Maximum number of surfaces that one segment passes through.
 const PASSED: u32 = 64;
 
-/// How a walk ended.
+/// End of a walk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ending {
-    /// It left the scene.
+    /// The walk left the scene.
     Escaped,
-    /// It was still among surfaces.
+    /// The walk was still among surfaces.
     Inside,
 }
 
-/// A small generator (splitmix64) of numbers that are the same everywhere.
+/// A small random number generator (splitmix64). It gives the same numbers on every machine.
 pub(crate) struct Dice(pub u64);
 
 impl Dice {
-    /// In [0, 1).
+    /// Returns a random number in [0, 1).
     pub fn roll(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut x = self.0;
@@ -33,7 +33,7 @@ impl Dice {
         ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// A unit vector, uniform over the sphere.
+    /// Returns a random unit vector, uniform over the sphere.
     pub fn direction(&mut self) -> DVec3 {
         loop {
             let p = 2.0 * DVec3::new(self.roll(), self.roll(), self.roll()) - 1.0;
@@ -45,7 +45,8 @@ impl Dice {
     }
 }
 
-/// Walks from `ray` on; `visit` gets each surface that stops or reflects, the place just before it, and its normal there.
+/// Walks along `ray` and its reflections. `visit` receives each surface that stops the walk, the point just before it, and its
+/// normal there.
 pub(crate) fn walk(
     scope: &Scope<'_>,
     mut ray: Ray,
@@ -63,7 +64,7 @@ pub(crate) fn walk(
     Ending::Inside
 }
 
-/// The next surface that the walk stops at; of those that let light through, every second one.
+/// Returns the next surface that stops the walk. A surface that lets light through is passed with probability 1/2.
 fn seen(scope: &Scope<'_>, ray: &mut Ray, dice: &mut Dice) -> Option<Hit> {
     for _ in 0..PASSED {
         let hit = scope.first_hit(ray)?;
@@ -77,7 +78,7 @@ fn seen(scope: &Scope<'_>, ray: &mut Ray, dice: &mut Dice) -> Option<Hit> {
 }
 
 impl Scope<'_> {
-    /// What is on the way between two points: nothing that stops light, in order; `None` if something stops it.
+    /// Returns the surfaces between two points that are invisible to the ray, in order; `None` if another surface stops the light.
     pub fn passages(&self, from: DVec3, to: DVec3) -> Option<Vec<Hit>> {
         let mut passed = Vec::new();
         let mut ray = Ray { origin: from, dir: (to - from).try_normalize()?, far: 0.0 };

@@ -1,4 +1,4 @@
-//! Where things are at a time.
+//! Tests of positions and values over time.
 
 use crate::common;
 use crate::common::*;
@@ -100,7 +100,7 @@ fn a_spline_through_points_on_a_line_stays_on_it_and_is_even_for_even_keys() {
 
 #[test]
 fn a_spline_is_the_centripetal_pyramid() {
-    // Barry and Goldman's pyramid on knots apart by the root of the distance, written out.
+    // Barry and Goldman's pyramid, written out. The distance between knots is the square root of the distance between points.
     let points = [DVec3::ZERO, DVec3::new(1.0, 0.0, 0.0), DVec3::new(1.0, 4.0, 0.0), DVec3::new(-5.0, 4.0, 8.0)];
     let keys: Vec<_> = points.iter().zip(0..).map(|(p, i)| (f64::from(i), pose(0.0, p.x, p.y, p.z))).collect();
     let path = path("p", 1, Interpolation::Spline, &keys);
@@ -171,13 +171,13 @@ fn only_groups_that_hold_something_moving_change() {
     scene.paths =
         vec![path("p", 1, Interpolation::Linear, &[(0.0, pose(0.0, 0.0, 0.0, 0.0)), (1.0, pose(1.0, 0.0, 0.0, 0.0))])];
     let place = |group: u32, steps: Vec<MotionStep>| Instance { group: GroupId(group), motion: Motion { steps } };
-    // world > car (moves) > wheel (turns) ; world > house (still) ; world > crowd > house
+    // world > car (moves) > wheel (turns); world > house (still); world > crowd > house
     scene.groups.resize(5, Group::default());
     scene.groups[0].instances = vec![place(1, vec![MotionStep::Along(PathId(0))]), place(3, vec![]), place(4, vec![])];
     scene.groups[1].instances = vec![place(2, vec![MotionStep::Along(PathId(0))])];
     scene.groups[4].instances = vec![place(3, vec![])];
     assert_eq!(scene.changing_groups(), [true, true, false, false, false], "the wheel turns as a whole");
-    // A blinking sign in the house makes the house, and all that holds it, change.
+    // A blinking sign in the house makes the house change, and every group that contains it.
     scene.objects = vec![object("sign", None), object("sign.bulb", Some(0))];
     add_face(&mut scene.groups[3], &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 0, 9);
     scene.groups[3].faces[0].object = Some(ObjectId(1));

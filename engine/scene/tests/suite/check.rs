@@ -1,4 +1,4 @@
-//! `check` finds each fault at its line, and nothing wrong with a sound scene.
+//! Tests that `check` finds each fault at its line, and nothing in a correct scene.
 
 use crate::common::*;
 use femc_math::{Transform, glam::DVec3};
@@ -39,7 +39,7 @@ fn a_sound_scene_has_no_fault() {
     assert_eq!(check(&lit_floor()), []);
 }
 
-/// One thing goes wrong in the sound scene: exactly this is found.
+/// Each case breaks one thing in the correct scene; exactly this fault must be found.
 #[test]
 fn each_fault_is_found_once_at_its_line() {
     type Change = fn(&mut Scene);
@@ -263,7 +263,7 @@ fn a_path_that_turns_inside_out_is_an_error() {
     scene.clip = Some(CLIP);
     scene.paths = vec![path("p", 20, Interpolation::Linear, &[(0.0, Transform::IDENTITY), (1.0, mirrored)])];
     scene.cameras[0].along = Some(PathId(0));
-    // Halfway the path takes the camera's view to a line.
+    // Halfway along the path, the camera's view collapses to a line.
     assert_eq!(found(&scene), [(K::Camera, S::Error, 3), (K::Animation, S::Error, 20)]);
     scene.paths[0].keys[0].pose = mirrored;
     assert_eq!(found(&scene), [], "mirrored at all keys is sound");
@@ -284,7 +284,7 @@ fn closed_glass_is_sound_however_it_is_built() {
         2,
         30,
     );
-    // The faces are of no object; the cup of cone and rings is one.
+    // The faces belong to no object; the cup, made of a cone and rings, is an object.
     scene.objects = vec![object("cup", None)];
     add_quadric(&mut scene, Shape::Ring { center: start, normal: -DVec3::Z, inner: 0.0, outer: 0.2 }, 2, 31);
     add_quadric(&mut scene, Shape::Ring { center: end, normal: DVec3::Z, inner: 0.0, outer: 0.1 }, 2, 32);
@@ -298,7 +298,7 @@ fn closed_glass_is_sound_however_it_is_built() {
     assert_eq!(found(&scene), []);
     scene.groups[0].quadrics.remove(2);
     assert_eq!(found(&scene), [(K::OpenBoundary, S::Warning, 30)], "one lid gone");
-    // A camera in the box is told; one beside it is not.
+    // A camera in the box is reported; a camera beside it is not.
     scene.groups[0].quadrics.clear();
     scene.cameras[0].origin = DVec3::new(0.5, 0.4, 1.0);
     assert_eq!(found(&scene), [(K::Camera, S::Note, 3)]);

@@ -1,11 +1,11 @@
-//! The camera of a scene without one.
+//! Tests of the default camera.
 
 use femc_import::{Bundle, Loaded, load};
 use femc_math::glam::DVec3;
 use femc_scene::{Camera, check};
 use std::collections::BTreeMap;
 
-/// A box from -1 to 1 in x and y and from 0 to 2 in z as a prism; `length` > 0: its fronts face out.
+/// Returns a box from -1 to 1 in x and y and from 0 to 2 in z, as a prism. With `length` > 0 its fronts face out.
 fn walls(material: &str, length: f64) -> String {
     let z = length.max(0.0);
     let corners = [("a", "-1 -1"), ("b", "1 -1"), ("c", "1 1"), ("d", "-1 1")];
@@ -52,7 +52,7 @@ fn a_solid_lit_from_outside_and_an_open_box_are_seen_from_outside() {
     let (of_solid, note) = camera(&solid);
     assert!(!is_in_the_box(of_solid.origin) && note.contains("from outside"), "{} {note}", of_solid.origin);
     assert!(of_solid.target.abs_diff_eq(DVec3::Z, 1e-9), "the lamp does not count: {}", of_solid.target);
-    // The whole box is in view: its corners are within the cone of 60 degrees.
+    // The whole box is in view: its corners lie within the cone of 60 degrees.
     let (view, half) = (of_solid.target - of_solid.origin, 3.0f64.sqrt());
     assert!(half <= view.length() * 0.5 * 1.000001);
     let faces = "m wall =\nsides 2\nrd .5\nv a =\np -1 -1 0\nv b =\np 1 -1 0\nv c =\np 1 1 0\nv d =\np -1 1 0\n\

@@ -1,4 +1,4 @@
-//! The content hash sees all that can reach a pixel and nothing else.
+//! Tests that the content hash covers everything that can affect a pixel, and nothing else.
 
 use crate::common::*;
 use femc_math::{Transform, glam::DVec3};
@@ -97,6 +97,6 @@ fn a_digest_reads_back_from_its_text_and_is_the_same_on_every_machine() {
     let digest = full().digest();
     assert_eq!(digest.to_string().parse(), Ok(digest));
     assert_eq!("no digest".parse::<SceneDigest>(), Err(DigestError));
-    // Changes only with the canonical form: raise its version then.
+    // This value changes only with the canonical form. If it changes, raise the version.
     assert_eq!(digest.to_string(), "0f94902acd90dc0246d8594756175cea673243d4e1b14832fde70f9e137544d5");
 }

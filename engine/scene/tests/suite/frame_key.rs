@@ -1,4 +1,4 @@
-//! What frames are made from: what counts in each layer, and what does not.
+//! Tests of frame digests: the inputs that count in each layer, and those that do not.
 
 use crate::common::*;
 use femc_math::glam::DVec3;
@@ -6,7 +6,8 @@ use femc_scene::animation::Passage;
 use femc_scene::frame_key::Viewpoint;
 use femc_scene::*;
 
-/// A floor, and on it a thing that moves for a second, stands for two, and moves again; ten frames a second.
+/// Returns a scene with a floor and an object on it that moves for one second, stands still for two, and moves again; ten frames
+/// per second.
 fn scene(interpolation: Interpolation) -> Scene {
     let mut scene = lit_floor();
     scene.clip = Some(Clip { start: 0.0, end: 6.0, fps: 10.0 });
@@ -21,7 +22,7 @@ fn scene(interpolation: Interpolation) -> Scene {
 
 struct Look {
     frame: u32,
-    /// How long the shutter is open, s.
+    /// Time for which the shutter is open, s.
     open: f64,
     origin: f64,
     fov: f64,
@@ -97,7 +98,7 @@ fn what_stands_while_the_shutter_is_open_counts_with_its_pose_alone() {
 
 #[test]
 fn what_is_far_away_in_time_does_not_count_and_what_is_near_does() {
-    // At 0.3 s: the keys of 0 s and 1 s; of a spline that of 2 s, too.
+    // At 0.3 s, the keys at 0 s and 1 s count; for a spline, also the key at 2 s.
     for (interpolation, near) in [(Interpolation::Linear, 2), (Interpolation::Spline, 3)] {
         let look = Look { frame: 4, ..LOOK };
         let one = frame_key(&scene(interpolation), &look);
@@ -111,7 +112,7 @@ fn what_is_far_away_in_time_does_not_count_and_what_is_near_does() {
 
 #[test]
 fn every_pose_between_two_times_follows_from_the_passage() {
-    // Numbers that look random enough.
+    // Pseudo-random numbers.
     let mut state = 1u64;
     let mut number = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

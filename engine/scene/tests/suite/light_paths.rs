@@ -1,4 +1,4 @@
-//! Where light gets to: walls that let it in from behind, cameras in the dark, scenes that it never leaves.
+//! Tests of light paths: walls that let light in from behind, cameras in the dark, scenes that light never leaves.
 
 use femc_import::{Bundle, load};
 use femc_math::glam::DVec3;
@@ -11,7 +11,8 @@ fn scene(text: &str) -> femc_scene::Scene {
     load(&Bundle(files), "t.mgf").unwrap_or_else(|error| panic!("{error}")).scene
 }
 
-/// A camera in a box of 4 m with this wall, fronts out, and a lamp at `lamp`; a plate stands in the box.
+/// Returns a scene with a camera in a box of 4 m. The box has this wall material with fronts facing out, and a lamp at `lamp`; a
+/// plate stands in the box.
 fn house(wall: &str, lamp: &str) -> String {
     format!(
         "camera main =\norigin 0 -1 1\ntarget 0 1 0.5\nm wall =\n{wall}\n\

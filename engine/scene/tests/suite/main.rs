@@ -1,4 +1,4 @@
-//! Descriptions of scenes, a module a topic.
+//! Tests of scene descriptions, one module per topic.
 
 mod animation;
 mod check;

@@ -1,4 +1,4 @@
-//! What a scene needs holds for the whole clip, and each thing spared has its reason.
+//! Tests that a scene's needs hold for the whole clip, and that each feature left out has a reason.
 
 use crate::common::*;
 use femc_scene::*;

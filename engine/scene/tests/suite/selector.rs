@@ -1,4 +1,4 @@
-//! Selectors reach every scalar, refuse what is impossible and say what was meant.
+//! Tests that selectors reach every scalar, reject invalid values and suggest corrections.
 
 use crate::common::*;
 use femc_math::Transform;

@@ -1,4 +1,4 @@
-//! Scenes from text: what counts for the hash, and faults at the lines of the file.
+//! Tests of scenes loaded from text: the inputs of the hash, and faults at the lines of the file.
 
 use femc_import::{Bundle, load};
 use femc_scene::{FaultKind, Scene, check};

@@ -1,4 +1,4 @@
-//! The two lists of angles.
+//! Reader of the two lists of angles.
 
 use super::{Remarks, numbers::Numbers};
 use crate::{Fault, ImportError};
@@ -30,7 +30,7 @@ pub(super) fn vertical(
     Ok(angles)
 }
 
-/// The angles, and whether 360 was added to close the circle.
+/// Reads the horizontal angles. Also returns whether 360 was added to close the circle.
 pub(super) fn horizontal(
     numbers: &mut Numbers<'_>,
     kind: PhotometryType,

@@ -1,20 +1,20 @@
-//! Decimal commas.
+//! Detection of decimal commas.
 //!
-//! LM-63 takes a comma as a separator, so `1200,5` is two numbers. A file says how many numbers it has: 13, the angles, and
-//! an intensity for every pair of them. With `v` and `h` angles these are `(v + 1) (h + 1) + 12`. One number too many or too
-//! few in any place makes a total that the counts it then announces cannot have, so a file with decimal commas is never read
-//! as a lamp of another flux: its reading ends in an error. This module finds the errors that decimal commas caused. (Only
-//! the count of tilt factors may be changed to one that happens to fit.)
+//! LM-63 uses the comma as a separator, so `1200,5` is two numbers. The counts in a file determine its total of numbers: 13, the
+//! angles, and an intensity for every pair of angles. With `v` and `h` angles these are `(v + 1) (h + 1) + 12`. If one number is
+//! added or lost anywhere, the total no longer matches the counts that the file then announces. So a file with decimal commas is
+//! never read as a lamp with another flux: reading it ends in an error. This module finds the errors that decimal commas caused.
+//! (Only the count of tilt factors may change to one that happens to match.)
 
 use super::numbers::{Comma, Numbers, decimal_end};
 use crate::{Fault, ImportError, Position, text::excerpt};
 
-/// Reads numbers with `read`; an error that decimal commas caused names them.
+/// Reads numbers with `read`. If decimal commas caused an error, the returned error says so.
 /// - `line`: line of the file in which `text` starts.
 ///
-/// Decimal commas are the cause if the file can be read whole with them, or if they make the two lines above the angles have
-/// 10 and 3 numbers. Where numbers are left over, the last commas may be decimal and the ones before them separate: `0,90` may
-/// be a list of two angles.
+/// Decimal commas are the cause if the file can be read completely with them, or if with them the two lines above the angles have
+/// 10 and 3 numbers. If numbers are left over, only the last commas may be decimal and those before them separators: `0,90` may be
+/// a list of two angles.
 pub(super) fn read_numbers<T>(
     path: &str,
     text: &[u8],
@@ -29,7 +29,7 @@ pub(super) fn read_numbers<T>(
     let mut is_proved = |start| read(&mut Numbers::new(path, text, line, Comma::DecimalFrom(start))).is_ok();
     let culprit = match *error.fault {
         _ if is_proved(first) || standard_lines_have_decimal_commas(text) => Some(first),
-        // Each decimal comma makes one number too many.
+        // Each decimal comma adds one number.
         Fault::LeftOver { numbers: excess @ 1.., .. } => {
             nth_last_decimal_comma(text, excess).filter(|&at| is_proved(at))
         }
@@ -38,7 +38,7 @@ pub(super) fn read_numbers<T>(
     Err(culprit.and_then(|at| decimal_comma(path, text, line, at)).unwrap_or(error))
 }
 
-/// The error of the number with a decimal comma at an offset of the text.
+/// Returns the error for the number with a decimal comma at an offset of the text.
 fn decimal_comma(path: &str, text: &[u8], line: u32, at: usize) -> Option<ImportError> {
     let (before, field) = text.split_at(at);
     let found = excerpt(&field[..decimal_end(field)?]);
@@ -49,7 +49,7 @@ fn decimal_comma(path: &str, text: &[u8], line: u32, at: usize) -> Option<Import
     Some(ImportError::new(at, Fault::DecimalComma { found }))
 }
 
-/// Offsets of the fields that may be numbers with a decimal comma.
+/// Iterates over the offsets of fields that may be numbers with a decimal comma.
 fn decimal_commas(text: &[u8]) -> impl Iterator<Item = usize> {
     let mut at = 0;
     std::iter::from_fn(move || {
@@ -64,14 +64,14 @@ fn decimal_commas(text: &[u8]) -> impl Iterator<Item = usize> {
     })
 }
 
-/// Offset of the field from which on `n` fields may have a decimal comma.
+/// Returns the offset of the `n`-th last field that may have a decimal comma.
 fn nth_last_decimal_comma(text: &[u8], n: u64) -> Option<usize> {
     let skip = decimal_commas(text).count().checked_sub(usize::try_from(n).ok()?)?;
     decimal_commas(text).nth(skip)
 }
 
-/// Whether one of the two lines that hold 10 and 3 numbers by the standard does so with decimal commas alone. They are looked
-/// for among all lines, as the data of `TILT=INCLUDE` may stand before them.
+/// Returns whether the two lines that must have 10 and 3 numbers by the standard have these counts only with decimal commas. The
+/// first lines of the text are searched, because the data of `TILT=INCLUDE` may precede them.
 fn standard_lines_have_decimal_commas(text: &[u8]) -> bool {
     let count = |line: &[u8], comma| {
         let mut numbers = Numbers::new("", line, 1, comma);

@@ -1,4 +1,4 @@
-//! Editions of LM-63 and what they say about the fields in which they differ.
+//! Editions of LM-63 and the fields in which they differ.
 
 /// An edition of the standard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -13,11 +13,11 @@ pub(super) enum Edition {
 /// Meaning of the field after the ballast factor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SecondFactor {
-    /// Ballast-lamp photometric factor: it counts.
+    /// Ballast-lamp photometric factor. It is applied.
     BallastLamp,
     /// Reserved for future use.
     Reserved,
-    /// A code that says how the file was made.
+    /// A code for the way in which the file was made.
     GenerationType,
 }
 
@@ -34,7 +34,7 @@ impl Edition {
         }
     }
 
-    /// The latest edition of `year` or before.
+    /// Returns the latest edition of `year` or earlier.
     pub fn of_year(year: u32) -> Option<Self> {
         Self::ALL.into_iter().rev().find(|edition| edition.year() <= year)
     }
@@ -47,14 +47,14 @@ impl Edition {
         }
     }
 
-    /// Whether round openings follow the table of 2002: a dimension is round where its two sizes are negative. Before, one
+    /// Returns whether round openings follow the table of 2002, in which two negative sizes make a dimension round. Before, one
     /// negative size made a circle, and a negative height a sphere or a lying cylinder.
     pub fn has_shapes_of_2002(self) -> bool {
         self >= Self::E2002
     }
 }
 
-/// Whether `code` is a file generation type of the edition of 2019. Its decimals say: accredited laboratory, angles
+/// Returns whether `code` is a file generation type of the 2019 edition. Its decimals mean: accredited laboratory, angles
 /// interpolated, lumens scaled, computer simulation, undefined.
 pub(super) fn is_generation_type(code: f64) -> bool {
     let laboratory = [100_000, 100_100, 101_000, 101_100, 110_000, 110_100, 111_000, 111_100];

@@ -1,4 +1,4 @@
-//! The numbers above the angles: 10 and 3 of them.
+//! Reader of the numbers above the angles: one group of 10 and one of 3.
 
 use super::{
     Remarks,
@@ -10,14 +10,14 @@ use super::{
 use crate::{ImportError, Position};
 use femc_scene::{Opening, PhotometryType};
 
-/// Most angles of one list.
+/// Maximum number of angles in a list.
 pub(super) const MAX_ANGLES: f64 = 100_000.0;
 const FOOT: f64 = 0.3048;
 
-/// The numbers above the angles as femc uses them.
+/// Numbers above the angles that femc uses.
 pub(super) struct Fields {
     pub lamps: f64,
-    /// Lumens of a lamp; negative in absolute photometry.
+    /// Lumens per lamp; negative in absolute photometry.
     pub lumens: f64,
     pub lumens_at: Position,
     pub multiplier: f64,
@@ -46,7 +46,7 @@ impl Fields {
             remarks.warn(lumens_at.clone(), what);
         }
         let multiplier = numbers.number_in("candela multiplier", "> 0", |x| x > 0.0)?;
-        // A table of one vertical angle has no solid angle, so it would be a lamp without light.
+        // A table with a single vertical angle covers no solid angle, so the lamp would emit no light.
         let [two, one] = ["a whole number in [2, 100000]", "a whole number in [1, 100000]"];
         let vertical = numbers.whole("number of vertical angles", 2.0, MAX_ANGLES, two)?;
         let horizontal = numbers.whole("number of horizontal angles", 1.0, MAX_ANGLES, one)?;
@@ -75,13 +75,13 @@ impl Fields {
         Ok(Self { lamps, lumens, lumens_at, multiplier, ballast, vertical, horizontal, kind, opening })
     }
 
-    /// The factor on the intensities of the file.
+    /// Returns the factor on the intensities of the file.
     pub fn factor(&self) -> f64 {
         self.multiplier * self.ballast
     }
 }
 
-/// The factor that the field after the ballast factor stands for: by its edition a factor, or 1.
+/// Reads the field after the ballast factor. Returns its value if it is a factor in this edition, and 1 otherwise.
 fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut Remarks) -> Result<f64, ImportError> {
     numbers.token();
     let at = numbers.here();

@@ -1,15 +1,15 @@
-//! Luminous flux of a table, exactly.
+//! Exact luminous flux of a table.
 //!
-//! Between its angles a table is bilinear. Every value is the height of a hat function, so the flux is a sum of the values
-//! times the integrals of their hats: `1/rad` ramps times the sine of the polar angle in one direction, trapezoids in the
-//! other. Tables that cover a part of the sphere are completed by symmetry in the way of `femc_emission`'s distributions; a
-//! test compares the fluxes of the two.
+//! A table is bilinear between its angles. Every value is the height of a hat function, so the flux is the sum of the values times
+//! the integrals of their hats. In one direction these are integrals of linear ramps times the sine of the polar angle, in the
+//! other direction trapezoids. Tables that cover a part of the sphere are completed by symmetry, like the distributions of
+//! `femc_emission`. A test compares the two fluxes.
 
 use femc_math::elementary::double::{cos, sin};
 use femc_scene::{Photometry, PhotometryType};
 use std::f64::consts::{PI, TAU};
 
-/// Luminous flux, lm.
+/// Returns the luminous flux, lm.
 pub(super) fn lumens(photometry: &Photometry) -> f64 {
     let Photometry { kind, vertical, horizontal, candela, .. } = photometry;
     let (vertical, horizontal) = (radians(vertical), radians(horizontal));
@@ -33,7 +33,7 @@ fn radians(angles: &[f64]) -> Vec<f64> {
     angles.iter().map(|angle| angle.to_radians()).collect()
 }
 
-/// Integrals of the hats times the sine of the angle from the axis, which is the angle and `shift`.
+/// Returns the integrals of the hats times the sine of the angle from the axis, which is the table's angle plus `shift`.
 fn polar(angles: &[f64], shift: f64) -> Vec<f64> {
     let mut weights = vec![0.0; angles.len()];
     for (i, pair) in angles.windows(2).enumerate() {
@@ -46,7 +46,7 @@ fn polar(angles: &[f64], shift: f64) -> Vec<f64> {
     weights
 }
 
-/// Integrals of the hats.
+/// Returns the integrals of the hats.
 fn trapezoids(angles: &[f64]) -> Vec<f64> {
     let mut weights = vec![0.0; angles.len()];
     for (i, pair) in angles.windows(2).enumerate() {
@@ -56,8 +56,8 @@ fn trapezoids(angles: &[f64]) -> Vec<f64> {
     weights
 }
 
-/// Integrals of the hats about the axis of type C: a single plane, quadrants, halves or a full turn. The last plane is used up
-/// to the end of its quadrant or half, and the first closes a full turn.
+/// Returns the integrals of the hats about the axis of type C, for a single plane, quadrants, halves or a full turn. The last plane
+/// is extended to the end of its quadrant or half. In a full turn, the first plane also ends the circle.
 fn around(angles: &[f64]) -> Vec<f64> {
     let [first, .., last] = *angles else { return vec![TAU; angles.len()] };
     let span = last - first;
@@ -73,7 +73,7 @@ fn around(angles: &[f64]) -> Vec<f64> {
     weights.into_iter().map(|weight| weight * TAU / part).collect()
 }
 
-/// Types A and B from 0 on are mirrored.
+/// Doubles the weights of types A and B if the angles start at 0 or above, because such tables are mirrored.
 fn mirrored(angles: &[f64], weights: Vec<f64>) -> Vec<f64> {
     let copies = if angles[0] >= 0.0 { 2.0 } else { 1.0 };
     weights.into_iter().map(|weight| weight * copies).collect()

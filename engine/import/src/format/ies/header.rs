@@ -1,4 +1,4 @@
-//! The lines above the numbers: the edition, keywords, and `TILT=`.
+//! Reader of the lines above the numbers: the edition, keywords, and `TILT=`.
 
 use super::{Remarks, edition::Edition};
 use crate::{Fault, ImportError, Position, text::excerpt};
@@ -6,14 +6,14 @@ use crate::{Fault, ImportError, Position, text::excerpt};
 /// Source of a file's edition.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Named {
-    /// A line names it.
+    /// A line that names the edition.
     Line,
-    /// No line names an edition: a file of 1986. Keywords were not in that edition yet.
+    /// No line names an edition, so the file is of 1986. That edition had no keywords yet.
     Nowhere {
-        /// Whether the file has lines of keywords.
+        /// Whether the file has keyword lines.
         keywords: bool,
     },
-    /// A line names LM-63 and no edition that exists.
+    /// A line that names LM-63, but no existing edition.
     Unclear {
         /// Start of the line.
         line: String,
@@ -22,13 +22,13 @@ pub(super) enum Named {
 
 /// Content of the lines above the numbers.
 pub(super) struct Header<'t> {
-    /// Edition; 2002 where the header is unclear. The openings of 2002 and 2019 have the same shapes.
+    /// Edition; 2002 if the header is unclear. The openings of 2002 and 2019 have the same shapes.
     pub edition: Edition,
     pub named: Named,
-    /// Place and value of `TILT=`.
+    /// Position and value of `TILT=`.
     pub tilt_at: Position,
     pub tilt: String,
-    /// The text after that line.
+    /// Text after that line.
     pub rest: &'t [u8],
 }
 
@@ -51,7 +51,7 @@ impl<'t> Header<'t> {
             }
             keywords |= this.starts_with(b"[");
             let year = if named.is_none() { edition_year(this) } else { None };
-            // Below the first line, words about LM-63 without a year are a label.
+            // Below the first line, a mention of LM-63 without a year is a label.
             if let Some(year) = year.filter(|year| first_text || year.is_some()) {
                 let shown = excerpt(this);
                 let read = year.and_then(Edition::of_year);
@@ -78,7 +78,7 @@ impl<'t> Header<'t> {
     }
 }
 
-/// A byte order mark may stand before any line: programs that join texts leave it there.
+/// Removes a byte order mark. Programs that join texts may leave one before any line.
 fn without_mark(line: &[u8]) -> &[u8] {
     line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line)
 }
@@ -89,7 +89,8 @@ fn tilt_value(line: &[u8]) -> Option<&[u8]> {
     name.eq_ignore_ascii_case(b"TILT").then(|| value.trim_ascii())
 }
 
-/// The year of a line that names an edition: `None` for another line, `Some(None)` for one that names LM-63 without a year.
+/// Returns the year of a line that names an edition: `None` for other lines, `Some(None)` for a line that names LM-63 without a
+/// year.
 fn edition_year(line: &[u8]) -> Option<Option<u32>> {
     let skip = |text: &str| text.trim_start_matches([' ', '\t', ':', '-', '_', '/', '.']).to_owned();
     let text = String::from_utf8_lossy(line).to_ascii_uppercase();
@@ -108,7 +109,7 @@ fn edition_year(line: &[u8]) -> Option<Option<u32>> {
     if has_standard {
         return Some(year);
     }
-    // `IESNA91`: the edition's own line. Other text after the society's name is a label of 1986.
+    // `IESNA91` alone is the line of that edition. Other text after the society's name is a label of 1986.
     let exact =
         digits == text.len() && year.is_some_and(|year| Edition::of_year(year).is_some_and(|e| e.year() == year));
     (has_society && exact).then_some(year)

@@ -1,19 +1,19 @@
-//! Doubts about the luminous flux of a file that was read.
+//! Plausibility checks of a file's luminous flux.
 
 use super::{Remark, fields::Fields};
 
-/// Largest flux of a luminaire without a note, as a factor on the flux of its lamps: ratings are rounded, and lamps are warmer
-/// or colder.
+/// Largest ratio of a luminaire's flux to the flux of its lamps that gets no note. Ratings are rounded, and lamps are warmer or
+/// colder.
 const TOLERANCE: f64 = 1.1;
-/// Part of 1000 lm within which a flux is 1000 lm.
+/// Relative difference up to which a flux counts as 1000 lm.
 const EQUAL: f64 = 1e-3;
 
-/// A warning about a table without light.
+/// Returns a warning if the table has no light.
 pub(super) fn no_light(fields: &Fields, lumens: f64) -> Option<Remark> {
     (lumens == 0.0).then(|| (fields.lumens_at.clone(), "every intensity is 0: the lamp gives no light".into()))
 }
 
-/// A note about a table with more light than its lamps have.
+/// Returns a note if the table has more light than its lamps.
 pub(super) fn more_than_lamps(fields: &Fields, lumens: f64) -> Option<Remark> {
     let of_lamps = fields.lamps * fields.lumens * fields.ballast;
     let what = format!(
@@ -23,7 +23,8 @@ pub(super) fn more_than_lamps(fields: &Fields, lumens: f64) -> Option<Remark> {
     (of_lamps > 0.0 && lumens > TOLERANCE * of_lamps).then(|| (fields.lumens_at.clone(), what.into()))
 }
 
-/// A hint that a file may be normalized to 1000 lm: its table has that flux, or its lamps have it and nothing scales them.
+/// Returns a hint if the file may be normalized to 1000 lm: the table has that flux, or its lamps have that flux and nothing scales
+/// them.
 pub(super) fn normalized(fields: &Fields, lumens: f64) -> Option<Remark> {
     let is_1000 = |lumens: f64| (lumens / 1000.0 - 1.0).abs() <= EQUAL;
     let excess = more_than_lamps(fields, lumens).is_some();

@@ -1,7 +1,7 @@
-//! The free-form numbers of LM-63.
+//! Reader of the free-form numbers of LM-63.
 //!
-//! Numbers are separated by blanks, line ends, or one comma with or without blanks after it. Two commas in a row and a comma
-//! right before a number that does not follow a number are refused: `,5` may be a decimal fraction.
+//! Blanks, line ends, or one comma with or without blanks after it separate numbers. Two commas in a row are rejected, and so is a
+//! comma directly before a number that does not follow a number: `,5` may be a decimal fraction.
 
 use crate::{Fault, ImportError, Position, text::excerpt};
 
@@ -10,12 +10,12 @@ use crate::{Fault, ImportError, Position, text::excerpt};
 pub(super) enum Comma {
     /// A comma separates numbers: the rule of LM-63.
     Separator,
-    /// A comma between two digits is a decimal point, if it is the only one between blanks, from this offset of the text on.
-    /// No file is read so: this reading proves that a file has decimal commas.
+    /// From this offset of the text on, a comma between two digits is a decimal point if it is the only comma between blanks. Files
+    /// are never accepted with this reading. It only proves that a file has decimal commas.
     DecimalFrom(usize),
 }
 
-/// Numbers of a text, one after the other.
+/// Sequential reader of the numbers of a text.
 #[derive(Clone)]
 pub(super) struct Numbers<'t> {
     file: &'t str,
@@ -23,29 +23,30 @@ pub(super) struct Numbers<'t> {
     comma: Comma,
     /// Offset of the next byte.
     at: usize,
-    /// Offset behind the last number; 0 before the first.
+    /// Offset after the last number; 0 before the first.
     end: usize,
     line: u32,
     column: u32,
 }
 
 impl<'t> Numbers<'t> {
+    /// Creates a reader.
     /// - `line`: line of the file in which `text` starts.
     pub fn new(file: &'t str, text: &'t [u8], line: u32, comma: Comma) -> Self {
         Self { file, text, comma, at: 0, end: 0, line, column: 1 }
     }
 
-    /// The text that is not read yet.
+    /// Returns the unread text.
     pub fn rest(&self) -> &'t [u8] {
         &self.text[self.at..]
     }
 
-    /// The place of the next field.
+    /// Returns the position of the next field.
     pub fn here(&self) -> Position {
         Position { file: self.file.to_owned(), line: self.line, column: self.column }
     }
 
-    /// Moves to the next field, if there is one, without taking it.
+    /// Moves to the next field and returns it without consuming it.
     pub fn token(&mut self) -> Option<&'t [u8]> {
         let rest = self.rest();
         let skip = rest.iter().position(|byte| !separates(*byte)).unwrap_or(rest.len());
@@ -68,14 +69,14 @@ impl<'t> Numbers<'t> {
         (end > 0).then(|| &rest[..end])
     }
 
-    /// Takes `field`, the next one.
+    /// Consumes the next field, which is `field`.
     pub fn take(&mut self, field: &[u8]) {
         self.at += field.len();
         self.end = self.at;
         self.column = self.column.saturating_add(field.len() as u32);
     }
 
-    /// A fault of the file at the next field.
+    /// Returns an error at the next field.
     pub fn bad(&self, reason: String, advice: &'static str) -> ImportError {
         ImportError::new(self.here(), Fault::BadFile { path: self.file.to_owned(), reason, advice })
     }
@@ -95,7 +96,7 @@ impl<'t> Numbers<'t> {
         Ok(value)
     }
 
-    /// Refuses commas before `field`, the next one, that do not follow a number.
+    /// Rejects commas before the next field, `field`, that do not follow a number.
     fn check_commas(&self, field: &[u8]) -> Result<(), ImportError> {
         let gap = &self.text[self.end..self.at];
         let commas = gap.iter().filter(|&&byte| byte == b',').count();
@@ -156,7 +157,7 @@ impl<'t> Numbers<'t> {
     }
 
     /// Fails if anything but blanks and a line `END` follows.
-    /// - `last`: the last number that belongs to the file.
+    /// - `last`: name of the last number of the file.
     pub fn finish(&mut self, last: &'static str) -> Result<(), ImportError> {
         let mut ahead = self.clone();
         let Some(first) = ahead.token() else { return Ok(()) };
@@ -177,7 +178,7 @@ impl<'t> Numbers<'t> {
     }
 }
 
-/// The number that a field is; a comma in it is a decimal point.
+/// Parses a field as a number; a comma in it is a decimal point.
 fn parse(field: &[u8]) -> Option<f64> {
     let text = std::str::from_utf8(field).ok()?;
     if !field.iter().all(|byte| b"0123456789+-.,eE".contains(byte)) {
@@ -194,7 +195,7 @@ fn field_end(text: &[u8]) -> usize {
     text.iter().position(|byte| separates(*byte)).unwrap_or(text.len())
 }
 
-/// End of a number with a decimal comma at the start of `text`, if no other comma joins it to more numbers.
+/// Returns the end of a number with a decimal comma at the start of `text`, unless another comma joins it to more numbers.
 pub(super) fn decimal_end(text: &[u8]) -> Option<usize> {
     let whole = field_end(text);
     let digits = text[..whole].strip_prefix(b"-").or(text[..whole].strip_prefix(b"+")).unwrap_or(&text[..whole]);

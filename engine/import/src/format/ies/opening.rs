@@ -1,7 +1,7 @@
-//! Luminous openings: width (y), length (x) and height by the signs of their sizes.
+//! Luminous openings: the signs of width (y), length (x) and height define their shape.
 //!
-//! Zeros make a point, positive sizes a box. Negative sizes are diameters of round shapes, by two tables. Parentheses mark signs
-//! that the editions of a column do not define: they have the meaning of the other column.
+//! Zeros make a point, positive sizes a box. Negative sizes are diameters of round shapes, according to two tables. Parentheses
+//! mark signs that the editions of a column do not define; they have the meaning of the other column.
 //!
 //! | width, length, height | 1986 to 1995 | since 2002 |
 //! | --- | --- | --- |
@@ -26,8 +26,8 @@ const ELLIPSE: &str = "elliptic luminous opening: taken as the circle of its are
 const ELLIPSOID: &str = "ellipsoidal luminous opening: taken as the sphere of its volume";
 const LYING: &str = "lying round luminous opening: taken as the box around it";
 
-/// The luminous opening of `size` (width, length and height in meters). Round shapes that the description lacks become their
-/// box or their mean, with a remark.
+/// Returns the luminous opening of `size` (width, length and height in meters). Round shapes that the description cannot represent
+/// become their box or their mean, with a remark.
 pub(super) fn opening(edition: Edition, size: [f64; 3]) -> (Opening, Option<&'static str>) {
     let [w, l, h] = size.map(f64::abs);
     let [negative_w, negative_l, negative_h] = size.map(|x| x < 0.0);
@@ -53,7 +53,8 @@ pub(super) fn opening(edition: Edition, size: [f64; 3]) -> (Opening, Option<&'st
     }
 }
 
-/// Diameter of the circle of the area of an ellipse; a size of 0 stands for the other one. Also whether it is an ellipse.
+/// Returns the diameter of the circle with the area of an ellipse, and whether the sizes differ. A size of 0 is replaced by the
+/// other size.
 fn mean(a: f64, b: f64) -> (f64, bool) {
     if a == 0.0 || b == 0.0 || a == b {
         return (a.max(b), false);

@@ -15,12 +15,12 @@ fn read(text: &str) -> Result<Luminaire, ImportError> {
     })
 }
 
-/// Warnings of a file.
+/// Returns the warnings of a file.
 fn warnings(lamp: &Luminaire) -> Vec<&str> {
     lamp.remarks.warnings.iter().map(|(_, what)| &**what).collect()
 }
 
-/// Type, sizes and angle lists into a file; intensities count up from 1.
+/// Formats a file from type, sizes and angle lists; intensities count up from 1.
 fn file(header: &str, kind: u32, size: &str, vertical: &str, horizontal: &str) -> String {
     let count = |list: &str| list.split_whitespace().count();
     let (v, h) = (count(vertical), count(horizontal));
@@ -123,7 +123,7 @@ fn odd_files_are_taken_with_a_remark() {
     }
 }
 
-/// Planes between which nothing is known would make another flux than the table's.
+/// Unknown intensities between planes would change the flux, so they are rejected.
 #[test]
 fn planes_that_start_anywhere_are_refused() {
     for horizontal in ["90 180", "180 270 360", "45 90 135", "10 80", "180 360"] {

@@ -1,4 +1,4 @@
-//! Time: `time`, `path`, `key`, `vary`.
+//! Animation entities: `time`, `path`, `key`, `vary`.
 
 use super::{
     args::{Args, Result},
@@ -9,11 +9,11 @@ use super::{
 use crate::{Fault, ImportError, Kind, Oddity};
 use femc_scene::{Clip, Interpolation, Key, MotionPath, PathId, Vary};
 
-/// Most frames of a clip.
+/// Maximum number of frames of a clip.
 const MAX_FRAMES: f64 = 1e7;
 
 impl Reader<'_> {
-    /// `time t0 t1 fps`.
+    /// Reads `time t0 t1 fps`.
     pub(super) fn time(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(3..=3, "t0 t1 fps")?;
         let start = args.number(0, "start (s)")?;
@@ -29,7 +29,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `path NAME = linear | spline`, or `path NAME` to add keys to it.
+    /// Reads `path NAME = linear | spline`, or `path NAME`, which selects a path to add keys to.
     pub(super) fn path(&mut self, args: &Args<'_>) -> Result<()> {
         let expected = "NAME = linear | spline";
         if args.len() == 1 {
@@ -65,7 +65,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `key t [xf args]`.
+    /// Reads `key t [xf args]`.
     pub(super) fn key(&mut self, args: &Args<'_>) -> Result<()> {
         let Some(path) = self.path else {
             return Err(args.fault(Fault::NoContext { entity: "key".into(), kind: Kind::Path }));
@@ -95,7 +95,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `vary SELECTOR = t v t v ...`; a later line for the same selector goes on where the earlier one ended.
+    /// Reads `vary SELECTOR = t v t v ...`. A later line for the same selector continues the earlier one.
     pub(super) fn vary(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(4.., "SELECTOR = t v t v ...")?;
         if args.raw(1) != b"=" {
@@ -121,12 +121,12 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The path of that name.
+    /// Returns the path of that name.
     pub(super) fn find_path(&self, name: &str) -> std::result::Result<PathId, Fault> {
         self.paths.get(name).copied().ok_or_else(|| undefined_path(name, nearest(name, self.paths.keys())))
     }
 
-    /// Every path needs a key.
+    /// Checks that every path has a key.
     pub(super) fn finish_paths(&mut self) -> Result<()> {
         for (i, path) in self.scene.paths.iter().enumerate() {
             if path.keys.is_empty() && !self.faulty_paths.contains(&PathId(i as u32)) {

@@ -1,4 +1,4 @@
-//! The arguments of one entity, with typed access that knows where each stands.
+//! Arguments of one entity: typed access with the position of each argument.
 
 use super::lexer::{Quotes, Token};
 use crate::{Fault, ImportError, Position};
@@ -16,7 +16,7 @@ pub(super) struct Args<'a> {
 }
 
 impl<'a> Args<'a> {
-    /// `tokens` has at least the entity's name.
+    /// Creates the arguments. `tokens` must contain at least the entity's name.
     pub fn new(file: &'a str, file_index: u32, tokens: &'a [Token<'a>]) -> Self {
         Self { file, file_index, tokens }
     }
@@ -25,17 +25,17 @@ impl<'a> Args<'a> {
         String::from_utf8_lossy(self.tokens[0].text)
     }
 
-    /// Number of arguments.
+    /// Returns the number of arguments.
     pub fn len(&self) -> usize {
         self.tokens.len() - 1
     }
 
-    /// The place of the entity.
+    /// Returns the position of the entity.
     pub fn at(&self) -> Position {
         self.position(&self.tokens[0])
     }
 
-    /// The same for descriptions.
+    /// Returns the location of the entity, for descriptions.
     pub fn location(&self) -> femc_scene::Location {
         let token = &self.tokens[0];
         femc_scene::Location { file: self.file_index, line: token.line, column: token.column }
@@ -45,22 +45,22 @@ impl<'a> Args<'a> {
         Position { file: self.file.to_owned(), line: token.line, column: token.column }
     }
 
-    /// A fault of the entity as a whole.
+    /// Returns an error for the entity as a whole.
     pub fn fault(&self, fault: Fault) -> ImportError {
         ImportError::new(self.at(), fault)
     }
 
-    /// The place of argument `i`; of the entity where there is none.
+    /// Returns the position of argument `i`, or of the entity if there is no such argument.
     pub fn argument_at(&self, i: usize) -> Position {
         self.position(self.tokens.get(i + 1).unwrap_or(&self.tokens[0]))
     }
 
-    /// A fault of argument `i`.
+    /// Returns an error for argument `i`.
     pub fn fault_at(&self, i: usize, fault: Fault) -> ImportError {
         ImportError::new(self.argument_at(i), fault)
     }
 
-    /// Fails unless the number of arguments is in `range`, which `expected` says in words.
+    /// Checks that the number of arguments is in `range`. `expected` describes the range in words.
     pub fn count(&self, range: impl std::ops::RangeBounds<usize>, expected: &'static str) -> Result<()> {
         if range.contains(&self.len()) {
             return Ok(());
@@ -68,22 +68,22 @@ impl<'a> Args<'a> {
         Err(self.fault(Fault::ArgumentCount { entity: self.entity().into_owned(), expected, found: self.len() }))
     }
 
-    /// Argument `i` as bytes; empty where there is none.
+    /// Returns argument `i` as bytes; empty if there is none.
     pub fn raw(&self, i: usize) -> &'a [u8] {
         self.tokens.get(i + 1).map_or(b"", |token| token.text)
     }
 
-    /// Argument `i` as text.
+    /// Returns argument `i` as text.
     pub fn text(&self, i: usize) -> Cow<'a, str> {
         String::from_utf8_lossy(self.raw(i))
     }
 
-    /// Whether the first argument is in double quotes.
+    /// Returns whether the first argument is in double quotes.
     pub fn is_quoted(&self) -> bool {
         self.tokens.get(1).is_some_and(|token| token.quotes != Quotes::None)
     }
 
-    /// Fails unless the first argument, if it is quoted, ends with a quote and a blank.
+    /// Checks that the first argument, if quoted, ends with a quote and a blank.
     pub fn check_quotes(&self) -> Result<()> {
         let Some(name) = self.tokens.get(1) else { return Ok(()) };
         if name.quotes == Quotes::Open {
@@ -98,7 +98,7 @@ impl<'a> Args<'a> {
         }
     }
 
-    /// The first `n` arguments with the blanks that are between them.
+    /// Returns the first `n` arguments with the blanks between them.
     pub fn joined(&self, n: usize) -> String {
         let mut text = self.text(0).into_owned();
         for pair in self.tokens[1..=n].windows(2) {
@@ -110,7 +110,7 @@ impl<'a> Args<'a> {
         text
     }
 
-    /// Argument `i` as a finite number.
+    /// Returns argument `i` as a finite number.
     pub fn number(&self, i: usize, what: &'static str) -> Result<f64> {
         let raw = self.raw(i);
         let value =
@@ -128,7 +128,7 @@ impl<'a> Args<'a> {
         matches!(word.trim_start_matches(['+', '-']), "inf" | "infinity" | "nan")
     }
 
-    /// Argument `i` as a number for which `allowed` holds; `domain` says it in words.
+    /// Returns argument `i` as a number for which `allowed` holds. `domain` describes the domain in words.
     pub fn number_in(
         &self,
         i: usize,
@@ -140,24 +140,24 @@ impl<'a> Args<'a> {
         if allowed(value) { Ok(value) } else { Err(self.range(i, what, value, domain)) }
     }
 
-    /// The fault of a number out of its domain.
+    /// Returns the error for a number outside its domain.
     pub fn range(&self, i: usize, what: &'static str, value: f64, allowed: &'static str) -> ImportError {
         self.fault_at(i, Fault::OutOfRange { what, value, allowed })
     }
 
-    /// Argument `i` as a whole number in `[low, high]`.
+    /// Returns argument `i` as a whole number in `[low, high]`.
     pub fn whole(&self, i: usize, what: &'static str, range: [u64; 2], domain: &'static str) -> Result<u64> {
         let [low, high] = range;
         let value = self.number_in(i, what, domain, |x| x >= low as f64 && x <= high as f64 && x == x.trunc())?;
         Ok(value as u64)
     }
 
-    /// Arguments `i`, `i + 1`, `i + 2` as a vector.
+    /// Returns arguments `i`, `i + 1`, `i + 2` as a vector.
     pub fn vector(&self, i: usize, what: &'static str) -> Result<DVec3> {
         Ok(DVec3::new(self.number(i, what)?, self.number(i + 1, what)?, self.number(i + 2, what)?))
     }
 
-    /// The entity with the arguments from `i` on only.
+    /// Returns the entity with only the arguments from `i` on.
     pub fn tail(&self, i: usize) -> Tail<'a> {
         Tail { args: *self, first: i }
     }
@@ -170,7 +170,7 @@ pub(super) struct Tail<'a> {
     pub first: usize,
 }
 
-/// Whether `text` starts as a number of C does (Rust also reads words such as `inf`).
+/// Returns whether `text` starts like a number in C (Rust also parses words such as `inf`).
 fn numeric(text: &str) -> bool {
     text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'+' | b'-' | b'.' | b'e' | b'E'))
 }

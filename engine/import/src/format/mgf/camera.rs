@@ -9,14 +9,14 @@ use crate::{Fault, ImportError, Kind, Oddity, Position, Warning};
 use femc_math::glam::DVec3;
 use femc_scene::{Camera, Location, default_camera as place_camera};
 
-/// Most pixels along one side of the film.
+/// Maximum number of pixels along one side of the film.
 const MAX_SIDE: u64 = 32_768;
-/// Most pixels of the film.
+/// Maximum number of pixels of the film.
 const MAX_PIXELS: u64 = 1 << 28;
-/// Sine of the least angle between view and up direction.
+/// Minimum sine of the angle between view and up direction.
 const PARALLEL: f64 = 1e-9;
 
-/// A camera before its fields are given: z up, 45 degrees, 640 x 480, pinhole, no motion blur.
+/// Returns a camera with default fields: z up, 45 degrees, 640 x 480, pinhole, no motion blur.
 pub(super) fn default_camera() -> Camera {
     Camera {
         name: String::new(),
@@ -53,7 +53,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `origin`, `target`, `up`, `fov`, `film`, `lens`, `shutter`, `along`.
+    /// Reads `origin`, `target`, `up`, `fov`, `film`, `lens`, `shutter` or `along`.
     pub(super) fn camera_field(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         if !self.cameras.is_named() {
             return Err(args.fault(Fault::NoContext { entity: args.entity().into_owned(), kind: Kind::Camera }));
@@ -106,7 +106,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Gives a scene without a camera one, and the note that says so.
+    /// Adds a default camera to a scene without cameras. Returns a note about it.
     pub(super) fn add_default_camera(&mut self) -> Option<Warning> {
         if !self.scene.cameras.is_empty() {
             return None;
@@ -118,7 +118,7 @@ impl Reader<'_> {
         Some(Warning { at, oddity: Oddity::DefaultCamera { standpoint, origin, target } })
     }
 
-    /// Checks what depends on several fields and puts the cameras into the scene.
+    /// Checks constraints between fields and adds the cameras to the scene.
     pub(super) fn finish_cameras(&mut self) -> Result<()> {
         for camera in self.cameras.sound() {
             let [what, advice] = match (camera.target - camera.origin).try_normalize() {

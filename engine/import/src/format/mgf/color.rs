@@ -1,7 +1,7 @@
 //! Color contexts: `c`, `cxy`, `cspec`, `cct`, `cmix`, `crgb`.
 //!
-//! A color keeps its chromaticity, which may lie outside Rec.709: mixtures of such colors may lie inside. It is clipped
-//! where a material, a medium or a lamp uses it, and the warning is given then.
+//! A color keeps its chromaticity even outside Rec.709, because mixtures of such colors may lie inside. It is clipped when a
+//! material, a medium or a lamp uses it, and the warning is given then.
 
 use super::{
     args::{Args, Result},
@@ -11,16 +11,16 @@ use super::{
 use crate::{Fault, Oddity};
 use femc_scene::{Location, Tinted};
 
-/// A colour as it stands.
+/// Current state of a color.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Color {
     /// Linear Rec.709; luminance 1 unless `raw`.
     pub rgb: [f64; 3],
-    /// Given by `crgb`: used as is.
+    /// Whether the color was given by `crgb`, which is used without scaling.
     pub raw: bool,
-    /// Like `rgb`, but not clipped into Rec.709.
+    /// Like `rgb`, but not clipped to Rec.709.
     wide: [f64; 3],
-    /// Place of a color that had to be clipped.
+    /// Location of the color, if it had to be clipped.
     clipped_at: Option<Location>,
 }
 
@@ -31,7 +31,7 @@ impl Default for Color {
 }
 
 impl Color {
-    /// `amount` in this colour.
+    /// Returns `amount` in this color.
     pub fn tint(&self, amount: f64) -> Tinted {
         Tinted { amount, color: self.rgb }
     }
@@ -50,7 +50,7 @@ impl Reader<'_> {
         }
         let [near_x, near_y] = spectrum::nearest_visible([x, y]);
         self.warn(args, Oddity::NoLuminance { x, taken: [near_x, near_y] });
-        // Colors of the spectrum's ends lie outside Rec.709: that is no second oddity.
+        // The ends of the spectrum lie outside Rec.709, but one warning is enough.
         let color = spectrum::from_xy(near_x, near_y).map(|color| Gamut { clipped: false, ..color });
         self.set_color(args, color)
     }
@@ -80,7 +80,7 @@ impl Reader<'_> {
         self.set_color(args, color)
     }
 
-    /// A mixture by relative luminances.
+    /// Reads a mixture with weights by relative luminance.
     pub(super) fn cmix(&mut self, args: &Args<'_>) -> Result<()> {
         if args.len() < 2 || !args.len().is_multiple_of(2) {
             args.count(0..0, "pairs of weight and color name")?;
@@ -112,7 +112,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The current color, to be used: that it was clipped is said once for each place that gives a color.
+    /// Returns the current color for use. Warns once per defining line if the color was clipped.
     pub(super) fn used_color(&mut self) -> Color {
         if self.colors.is_faulty() {
             self.errors.taint();
@@ -126,7 +126,7 @@ impl Reader<'_> {
         color
     }
 
-    /// Remembers that a color was given: it tints what the current medium says next.
+    /// Records that a color was given, so that it tints the next coefficient of the current medium.
     pub(super) fn note_color(&mut self) {
         (self.medium_colored, self.absorption_colored) = (true, true);
     }

@@ -8,33 +8,33 @@ use super::{
 use crate::{Fault, Files, ImportError, Oddity, Position, files, text};
 use std::sync::Arc;
 
-/// Most nested files.
+/// Maximum depth of nested files.
 const MAX_DEPTH: usize = 64;
-/// Most includes of a scene: nesting alone would allow 2^64.
+/// Maximum number of includes in a scene. Nesting alone would allow 2^64.
 const MAX_INCLUDES: u64 = 1_000_000;
-/// Most text of a scene, counted as often as it is included, bytes.
+/// Maximum size of a scene's text, counting repeated includes, bytes.
 const MAX_VOLUME: u64 = 4 << 30;
-/// Most arguments that are taken as parts of one file name with blanks.
+/// Maximum number of arguments that are joined to one file name with blanks.
 const MAX_PARTS: usize = 16;
-/// Largest text file, bytes.
+/// Maximum size of a text file, bytes.
 pub(super) const MAX_TEXT: u64 = 256 << 20;
 
 /// A file being read.
 pub(super) struct OpenFile {
     pub path: String,
-    /// Transforms open when it began.
+    /// Number of transforms open when the file began.
     pub frames: usize,
-    /// Objects open when it began.
+    /// Number of objects open when the file began.
     pub objects: usize,
 }
 
-/// The fault of a file that cannot be read.
+/// Returns the fault of a file that cannot be read.
 pub(super) fn unreadable(files: &dyn Files, path: &str, reason: &std::io::Error) -> Fault {
     Fault::Unreadable { path: path.to_owned(), reason: reason.to_string(), near: files::near(files, path) }
 }
 
 impl Reader<'_> {
-    /// `i path [xf args]`.
+    /// Reads `i path [xf args]`.
     pub(super) fn i(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1.., "a path and transform arguments")?;
         let path = self.resolve(args)?;
@@ -46,14 +46,14 @@ impl Reader<'_> {
         self.pop_frame()
     }
 
-    /// The file that the first argument names, from the root; one outside the scene's folder is said once.
+    /// Returns the path, from the root, of the file that the first argument names. Warns once per file outside the scene's folder.
     pub(super) fn resolve(&mut self, args: &Args<'_>) -> Result<String> {
         args.check_quotes()?;
         let resolved = files::resolve(args.file, &args.text(0));
         if let Ok(path) = &resolved
             && let Some(fault) = self.errors.fault_of_file(path).cloned()
         {
-            // The fault is listed already.
+            // The fault is already listed.
             self.errors.taint();
             return Err(args.fault_at(0, fault));
         }
@@ -65,9 +65,9 @@ impl Reader<'_> {
         Ok(path)
     }
 
-    /// Fails where the arguments are the parts of a file name that has blanks and no quotes: a file has that name, or what
-    /// follows the first part cannot be an option.
-    /// - `path`: path of the first argument, if it is one.
+    /// Fails if the arguments are parts of an unquoted file name with blanks: either a file with the joined name exists, or the
+    /// text after the first part cannot be an option.
+    /// - `path`: path of the first argument, if it is valid.
     fn check_blanks(&self, args: &Args<'_>, path: Option<&str>) -> Result<()> {
         let is_there = |path: &str| self.texts.contains_key(path) || self.files.size(path).is_ok();
         let may_be_option = args.raw(1).first().is_none_or(|&byte| byte == b'-');
@@ -89,12 +89,12 @@ impl Reader<'_> {
         }
     }
 
-    /// What was open when the current file began.
+    /// Returns the transforms and objects that were open when the current file began.
     pub(super) fn open_at_start(&self) -> &OpenFile {
         self.open.last().expect("entities come from an open file")
     }
 
-    /// Reads the file `path`, named at `by`.
+    /// Reads the file `path`, which is named at `by`.
     pub(super) fn run(&mut self, path: &str, by: Position) -> Result<()> {
         if let Some(first) = self.open.iter().position(|file| file.path == path) {
             let chain = self.open[first..].iter().map(|file| file.path.as_str()).chain([path]).collect::<Vec<_>>();
@@ -133,7 +133,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Decoded text of a file; read once, its size checked first.
+    /// Returns the decoded text of a file. Each file is read once, after a check of its size.
     pub(super) fn text(&mut self, path: &str) -> std::result::Result<Arc<Vec<u8>>, Fault> {
         if let Some(text) = self.texts.get(path) {
             return Ok(text.clone());
@@ -150,14 +150,14 @@ impl Reader<'_> {
         Ok(text)
     }
 
-    /// Remembers that `path` belongs to the scene.
+    /// Records that `path` belongs to the scene.
     pub(super) fn note_read(&mut self, path: &str) {
         if !self.read.iter().any(|known| known == path) {
             self.read.push(path.into());
         }
     }
 
-    /// The index of a source file for locations.
+    /// Returns the index of a source file for locations.
     pub(super) fn file_index(&mut self, path: &str) -> u32 {
         if let Some(&index) = self.file_indices.get(path) {
             return index;

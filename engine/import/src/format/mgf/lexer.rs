@@ -1,14 +1,14 @@
-//! Lines and fields.
+//! Lexer of MGF lines and fields.
 //!
-//! A trailing `\` joins the next line; fields are split by blanks and keep the place where they stand, so that a fault in a
-//! joined line names the physical line. Nothing is copied: fields borrow from the text. A double quote at the start of a
-//! file name (the first argument of `i`, `ies` and the `map` entities) takes all up to the next quote, or to the end of the
-//! line, as one field, in which `\` is a letter; elsewhere quotes are letters.
+//! A trailing `\` joins the next line. Blanks separate fields. Each field keeps its position, so a fault in a joined line names the
+//! physical line. Nothing is copied: fields borrow from the text. A double quote at the start of a file name (the first argument of
+//! `i`, `ies` and the `map` entities) starts a field that ends at the next quote or at the end of the line; `\` has no special
+//! meaning in it. Elsewhere quotes are ordinary characters.
 
-/// Longest joined line, bytes.
+/// Maximum length of a joined line, bytes.
 pub(super) const MAX_LINE: usize = 4096;
 
-/// A field.
+/// A field of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Token<'t> {
     pub text: &'t [u8],
@@ -17,24 +17,24 @@ pub(super) struct Token<'t> {
     pub quotes: Quotes,
 }
 
-/// Quotes of a field.
+/// Quoting of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quotes {
-    /// Not at all: split by blanks.
+    /// No quotes: blanks end the field.
     None,
-    /// By a pair of double quotes, which are not in the field's text.
+    /// A pair of double quotes, which are not part of the field's text.
     Pair,
-    /// By a double quote that is not closed on its line.
+    /// A double quote that is not closed on its line.
     Open,
 }
 
-/// A line that is too long; where it starts.
+/// Error for a line that is too long, with the line where it starts.
 #[derive(Debug, PartialEq)]
 pub(super) struct TooLong {
     pub line: u32,
 }
 
-/// Reads a text joined line by joined line.
+/// Reader of a text, one joined line at a time.
 pub(super) struct Lexer<'t> {
     rest: &'t [u8],
     line: u32,
@@ -45,7 +45,7 @@ impl<'t> Lexer<'t> {
         Self { rest: text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text), line: 0 }
     }
 
-    /// Fills `tokens` with the fields of the next line that has any; false at the end of the text. Comments are skipped.
+    /// Fills `tokens` with the fields of the next line that has any; returns false at the end of the text. Skips comments.
     pub fn next(&mut self, tokens: &mut Vec<Token<'t>>) -> Result<bool, TooLong> {
         loop {
             tokens.clear();
@@ -71,7 +71,7 @@ impl<'t> Lexer<'t> {
         }
     }
 
-    /// Adds the fields of one physical line; returns its length and whether a `\` joins the next line to it.
+    /// Adds the fields of one physical line. Returns its length and whether a `\` joins the next line to it.
     fn physical(&mut self, tokens: &mut Vec<Token<'t>>) -> (usize, bool) {
         let bytes = self.rest;
         self.line = self.line.saturating_add(1);
@@ -93,7 +93,7 @@ impl<'t> Lexer<'t> {
             while at < bytes.len() && !is_space(bytes[at]) {
                 at += 1;
             }
-            // A line of more fields than bytes allowed is too long (or a comment): no memory for it.
+            // A line with more fields than allowed bytes is too long (or a comment), so its fields take no memory.
             if at > start && tokens.len() > MAX_LINE {
                 continue;
             }
@@ -123,7 +123,7 @@ impl<'t> Lexer<'t> {
     }
 }
 
-/// Whether the first argument of an entity is the name of a file.
+/// Returns whether the first argument of an entity is a file name.
 fn has_file_name(entity: &[u8]) -> bool {
     matches!(entity, b"i" | b"ies" | b"map_rd" | b"map_ed" | b"map_n")
 }
@@ -169,7 +169,7 @@ mod tests {
             let fields = fields(format!("{entity} \"we ird\"").as_bytes());
             assert_eq!(fields[1..], [format!("{}:\"we", entity.len() + 2), format!("{}:ird\"", entity.len() + 6)]);
         }
-        // A quote ends with its line, whatever the line's end; a `\\` within quotes joins nothing.
+        // A quote ends with its line, for every kind of line end. A `\\` within quotes joins no lines.
         assert_eq!(fields(b"i \"a b\r\ni \"c\\\"\n"), ["1:i", "3:a b", "1:i", "3:c\\"]);
         for line_end in ["\n", "\r\n"] {
             let text = format!("i \"\\{line_end}o d{line_end}i \"e \\{line_end}o");

@@ -1,4 +1,4 @@
-//! `ies path [-m f] [xf args]`: luminaires with measured photometry.
+//! Luminaires with measured photometry: `ies path [-m f] [xf args]`.
 
 use super::{
     args::{Args, Result},
@@ -58,7 +58,7 @@ impl Reader<'_> {
         self.count(self.group, 1).map_err(|fault| args.fault(fault))
     }
 
-    /// The lamp's factor at the angle between the luminaire's axis and the vertical.
+    /// Returns the lamp's factor at the angle between the luminaire's axis and the vertical.
     fn tilt_factor(&mut self, args: &Args<'_>, tilt: &Tilt) -> f64 {
         let poses = self.world_transforms(1).unwrap_or_default();
         let [pose] = poses[..] else {
@@ -71,7 +71,7 @@ impl Reader<'_> {
         tilt.factor(angle)
     }
 
-    /// The photometry of a file; read once.
+    /// Returns the photometry of a file. Each file is read once.
     fn photometry(&mut self, args: &Args<'_>, path: &str) -> Result<(PhotometryId, Option<Tilt>)> {
         if let Some(known) = self.photometries.get(path) {
             return Ok(known.clone());

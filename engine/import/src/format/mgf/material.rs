@@ -1,8 +1,8 @@
 //! Material contexts.
 //!
-//! A surface takes the material as it stands at that line. The state becomes an entry of the scene when a surface uses it or
-//! when another material is chosen; a state equal to an entry of its name is that entry, so that files that define a
-//! material again and again make one.
+//! A surface uses the current state of the material at its line. The state becomes an entry of the scene when a surface uses it or
+//! when another material is selected. A state equal to an existing entry of the same name reuses that entry, so files that repeat a
+//! definition create only one.
 
 use super::{
     args::{Args, Result},
@@ -13,24 +13,24 @@ use super::{
 use crate::Oddity;
 use femc_scene::{Ior, Location, Material, MaterialId, Sides, Tinted};
 
-/// Slack of the sum of the reflectances: decimal fractions that add up to 1.
+/// Tolerance of the sum of the reflectances, for decimal fractions that add up to 1.
 const SUM_TOLERANCE: f64 = 1e-6;
-/// Sum in one channel above which it is said: chromaticities have few digits.
+/// Sum in one channel above which a warning is given. Chromaticities have few digits.
 const CHANNEL: f64 = 1.005;
-/// Entries of one name that are searched for an equal one.
+/// Number of entries of one name that are searched for an equal entry.
 const SEARCHED: usize = 8;
 
-/// A material as it stands.
+/// Current state of a material.
 #[derive(Clone, Debug, Default)]
 pub(super) struct MaterialState {
     pub material: Material,
-    /// Its entry, unless it changed since.
+    /// Entry in the scene, unless the material has changed since.
     entry: Option<MaterialId>,
-    /// The last entity that changed a reflectance.
+    /// Location of the last entity that changed a reflectance.
     reflectance_at: Location,
 }
 
-/// The luminance that a surface returns of unit light: the amount itself, unless the colour is raw.
+/// Returns the luminance that a surface reflects or transmits of unit light: the amount itself, unless the color is raw.
 fn returned(tinted: &Tinted) -> f64 {
     tinted.amount * luminance(tinted.color)
 }
@@ -49,7 +49,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The entry of the current material.
+    /// Returns the entry of the current material.
     pub(super) fn material(&mut self) -> MaterialId {
         let state = self.materials.current();
         if let Some(entry) = state.entry {
@@ -70,7 +70,7 @@ impl Reader<'_> {
         id
     }
 
-    /// Makes the current named material an entry, before it is left.
+    /// Makes an entry of the current named material before another one is selected.
     pub(super) fn seal_material(&mut self) {
         if self.materials.is_named() {
             self.material();
@@ -97,7 +97,7 @@ impl Reader<'_> {
         id
     }
 
-    /// The current material, about to change.
+    /// Returns the current material for a change.
     pub(super) fn change_material(&mut self) -> &mut Material {
         let state = self.materials.current_mut();
         state.entry = None;
@@ -113,7 +113,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `rd r`, `td t`, `rs r a`, `ts t a`.
+    /// Reads `rd r`, `td t`, `rs r a` or `ts t a`.
     pub(super) fn reflectance(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         let specular = matches!(entity, b"rs" | b"ts");
         if specular {

@@ -1,4 +1,4 @@
-//! Medium contexts and where media are: `medium`, `mbox`, `mglobal`.
+//! Medium contexts and the regions of media: `medium`, `mbox`, `mglobal`.
 
 use super::{
     args::{Args, Result},
@@ -9,14 +9,14 @@ use super::{
 use crate::{Fault, Kind};
 use femc_scene::{Density, Location, Medium, MediumId, MediumRegion, Phase, RegionBounds};
 
-/// Most regions after array expansion.
+/// Maximum number of regions after array expansion.
 const MAX_REGIONS: u64 = 1_000_000;
 
-/// A medium as it stands.
+/// Current state of a medium.
 #[derive(Clone, Debug)]
 pub(super) struct MediumState {
     medium: Medium,
-    /// Its entry, unless it changed since.
+    /// Entry in the scene, unless the medium has changed since.
     entry: Option<MediumId>,
 }
 
@@ -52,7 +52,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `sigma_s`, `sigma_a`, `phase`, `glow`, `density`.
+    /// Reads `sigma_s`, `sigma_a`, `phase`, `glow` or `density`.
     pub(super) fn medium_field(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         if !self.media.is_named() {
             return Err(args.fault(Fault::NoContext { entity: args.entity().into_owned(), kind: Kind::Medium }));
@@ -68,7 +68,7 @@ impl Reader<'_> {
             b"sigma_s" => {
                 medium.sigma_s = coefficient("scattering coefficient (1/m)")?;
                 medium.color = tint;
-                // A color before `sigma_s` tints scattering alone.
+                // A color before `sigma_s` tints only scattering.
                 self.absorption_colored = false;
             }
             b"sigma_a" => {
@@ -87,7 +87,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Makes the current medium an entry, before it is left.
+    /// Makes an entry of the current medium before another one is selected.
     pub(super) fn seal_medium(&mut self) -> Result<()> {
         if self.media.is_named() && self.media.current().entry.is_none() {
             let medium = self.media.current().medium.clone();
@@ -97,12 +97,12 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The entry of the medium that argument `i` names, as it stands.
+    /// Returns the entry of the current state of the medium that argument `i` names.
     pub(super) fn medium_named(&mut self, args: &Args<'_>, i: usize) -> Result<MediumId> {
         self.seal_medium()?;
         let slot = self.media.index(args, i, &mut self.errors)?;
         let state = self.media.get(slot);
-        // Only the current medium can be without an entry, and it was just given one.
+        // Only the current medium can lack an entry, and it has just received one.
         match state.entry {
             Some(entry) => Ok(entry),
             None => Ok(self.medium_entry(state.medium.clone())),
@@ -124,7 +124,7 @@ impl Reader<'_> {
         id
     }
 
-    /// `mbox NAME x0 y0 z0 x1 y1 z1`: one region for each copy that the transforms around it make.
+    /// Reads `mbox NAME x0 y0 z0 x1 y1 z1`, which adds one region for each copy that the enclosing transforms make.
     pub(super) fn mbox(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(7..=7, "NAME x0 y0 z0 x1 y1 z1")?;
         let medium = self.medium_named(args, 0)?;

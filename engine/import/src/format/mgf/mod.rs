@@ -1,9 +1,9 @@
-//! MGFE: MGF 1.1 (Materials and Geometry Format \[ward1995\]) with cameras, media, textures and animation.
+//! Reader of MGFE: MGF 1.1 (Materials and Geometry Format \[ward1995\]) with cameras, media, textures and animation.
 //!
-//! One pass: each line changes the reader's contexts or adds to the scene, with the contexts as they stand at that line.
-//! Where MGF's text leaves a choice, the reference parser's readers decide: a mirrored face is reversed, so that a mirror
-//! image keeps its front sides; `-a` takes its arguments up to the next `-a` or `-i`. Cameras are in world coordinates
-//! wherever they are opened; `mbox` follows the transforms around it.
+//! The reader makes one pass. Each line changes the contexts or adds to the scene with the current contexts. Where MGF's
+//! specification is ambiguous, this reader follows the reference parser: a mirrored face is reversed, so that a mirror image keeps
+//! its front sides, and `-a` takes its arguments up to the next `-a` or `-i`. Cameras are always in world coordinates; `mbox`
+//! follows the enclosing transforms.
 
 mod animation;
 mod args;

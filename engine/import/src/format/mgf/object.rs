@@ -7,13 +7,13 @@ use super::{
 use crate::{Fault, Oddity, Position};
 use femc_scene::{Object, ObjectId};
 
-/// Most nested objects.
+/// Maximum depth of nested objects.
 const MAX_DEPTH: usize = 256;
-/// Longest dotted name, bytes.
+/// Maximum length of a dotted name, bytes.
 const MAX_NAME: usize = 4096;
 
 impl Reader<'_> {
-    /// `o [name]`. An object opened again under the same full name is the same object.
+    /// Reads `o [name]`. An object that is opened again under the same full name is the same object.
     pub(super) fn o(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(..=1, "a name, or nothing to close")?;
         if args.len() == 0 {
@@ -47,7 +47,7 @@ impl Reader<'_> {
     }
 
     /// Adds an object to the scene.
-    /// - `place`: place that opens it; `None` if nothing is to be said where it is opened again.
+    /// - `place`: position that opens it; `None` if opening it again needs no warning.
     pub(super) fn add_object(&mut self, object: Object, place: Option<Position>) -> ObjectId {
         let id = ObjectId(self.scene.objects.len() as u32);
         self.scene.objects.push(object);
@@ -55,7 +55,7 @@ impl Reader<'_> {
         id
     }
 
-    /// Warns of a name that two places of the scene give, once. Copies by an array or by an include that stands twice are
+    /// Warns once about an object name that two places of the scene open. Copies made by an array or by a repeated include are
     /// opened in one place.
     fn opened_again(&mut self, id: ObjectId, args: &Args<'_>) {
         let line = args.location().line;
@@ -66,7 +66,7 @@ impl Reader<'_> {
         }
     }
 
-    /// The innermost open object.
+    /// Returns the innermost open object.
     pub(super) fn object(&self) -> Option<ObjectId> {
         self.objects.last().map(|(id, _)| *id)
     }

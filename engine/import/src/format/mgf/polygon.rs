@@ -1,24 +1,24 @@
-//! Planar polygons, concave, with seams or holes, into triangles.
+//! Triangulation of planar polygons, which may be concave and have seams or holes.
 //!
-//! The polygon is projected along the largest component of its normal (which keeps coordinates, and so collinearity and
-//! equality, exact) and cut by ear clipping \[eberly2002\] (crate `earcut`). Ear clipping drops vertices in the middle of
-//! straight edges; they are put back, because a neighbour's edge may end there. The signed areas decide whether the
-//! triangles are the polygon.
+//! The polygon is projected along the largest component of its normal. This keeps coordinates exact, and so also collinearity and
+//! equality. Ear clipping \[eberly2002\] (crate `earcut`) then cuts it into triangles. Ear clipping drops vertices in the middle of
+//! straight edges. They are restored, because a neighbor's edge may end there. A comparison of signed areas decides whether the
+//! triangles represent the polygon.
 
 use earcut::Earcut;
 use femc_math::glam::DVec3;
 
-/// Relative difference of areas above which triangles are not the polygon.
+/// Relative difference of areas above which the triangles do not represent the polygon.
 const AREA_TOLERANCE: f64 = 1e-9;
-/// Area over squared size below which a face has none.
+/// Ratio of area to squared size below which a face has no area.
 const NO_AREA: f64 = 1e-15;
 
-/// What became of a polygon.
+/// Result of a triangulation.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Outcome {
-    /// Vector area of the outer contour less the holes, m2; by the right-hand rule.
+    /// Vector area of the outer contour minus the holes, m2, by the right-hand rule.
     pub area: DVec3,
-    /// Largest distance of a vertex from the mean plane, over the size of the polygon.
+    /// Largest distance of a vertex from the mean plane, divided by the size of the polygon.
     pub deviation: f64,
     /// Whether the triangles add up to the area.
     pub covered: bool,
@@ -26,18 +26,18 @@ pub(super) struct Outcome {
     pub hole_wound_like_outer: bool,
 }
 
-/// Triangulates; keeps its buffers.
+/// Triangulator that reuses its buffers.
 #[derive(Default)]
 pub(super) struct Triangulator {
     earcut: Earcut<f64>,
     flat: Vec<[f64; 2]>,
     cut: Vec<u32>,
-    /// The triangles made last: indices into the points, counter-clockwise about the area. Empty without area.
+    /// Triangles of the last run: indices into the points, counter-clockwise about the area. Empty if there is no area.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Triangulator {
-    /// Triangulates the contours of `points`; `holes` are the first indices of the contours after the outer one.
+    /// Triangulates the contours of `points`. `holes` are the first indices of the contours after the outer one.
     pub fn run(&mut self, points: &[DVec3], holes: &[u32]) -> Outcome {
         self.triangles.clear();
         let outer = &points[..holes.first().map_or(points.len(), |&first| first as usize)];
@@ -51,7 +51,7 @@ impl Triangulator {
         let size = extent(outer);
         let deviation = deviation(points, outer_area.normalize_or_zero(), size);
         let mut outcome = Outcome { area, deviation, covered: true, hole_wound_like_outer };
-        // Written so that NaN, too, has no area.
+        // The comparison is written so that NaN also counts as no area.
         let has_area = area.length() > NO_AREA * size * size && area.is_finite();
         if !has_area {
             return outcome;
@@ -66,7 +66,7 @@ impl Triangulator {
         outcome
     }
 
-    /// Drops the axis along which `normal` is largest, keeping counter-clockwise about `normal` counter-clockwise.
+    /// Drops the axis along which `normal` is largest. Contours that are counter-clockwise about `normal` stay counter-clockwise.
     fn project(&mut self, points: &[DVec3], normal: DVec3) {
         let (axis, positive) = dominant(normal);
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -75,7 +75,7 @@ impl Triangulator {
         self.flat.extend(points.iter().map(|p| [p[u], p[v]]));
     }
 
-    /// Triangles and quadrangles without holes need no general method.
+    /// Triangulates triangles and quadrangles without holes directly; returns false if that is not possible.
     fn simple(&mut self, n: usize, holes: &[u32]) -> bool {
         let candidates: &[&[[u32; 3]]] = match (n, holes) {
             (3, []) => &[&[[0, 1, 2]]],
@@ -98,7 +98,7 @@ impl Triangulator {
                 self.triangles.push([a, c, b]);
             }
         }
-        // Every vertex has its part in this many triangles unless some were dropped.
+        // A complete triangulation has this many triangles; fewer mean that vertices were dropped.
         if self.triangles.len() < n + 2 * holes.len() - 2 {
             self.restore_dropped();
         }
@@ -107,7 +107,7 @@ impl Triangulator {
     /// Splits every triangle edge at the vertices that lie on it.
     fn restore_dropped(&mut self) {
         let mut i = 0;
-        // The bound holds unless rounding contradicts itself; it makes the loop end even then.
+        // The bound always holds except under contradictory rounding. It guarantees that the loop ends.
         while i < self.triangles.len() && self.triangles.len() < 4 * self.flat.len() {
             match self.vertex_on_edge(self.triangles[i]) {
                 Some([a, b, c, d]) => {
@@ -119,7 +119,7 @@ impl Triangulator {
         }
     }
 
-    /// An edge a to b of the triangle (a, b, c), and a vertex d strictly inside it that leaves area on both sides.
+    /// Returns an edge a to b of the triangle (a, b, c), and a vertex d strictly inside the edge that leaves area on both sides.
     fn vertex_on_edge(&self, [x, y, z]: [u32; 3]) -> Option<[u32; 4]> {
         let splits = |[a, b, c]: [u32; 3], d: u32| {
             self.between(a, d, b) && self.signed_area([d, b, c]) > 0.0 && self.signed_area([a, d, c]) > 0.0
@@ -130,7 +130,7 @@ impl Triangulator {
         })
     }
 
-    /// Whether `d` lies on the straight edge from `a` to `b`, within rounding.
+    /// Returns whether `d` lies on the straight edge from `a` to `b`, within rounding.
     fn between(&self, a: u32, d: u32, b: u32) -> bool {
         let [a, d, b] = [a, d, b].map(|i| self.flat[i as usize]);
         let edge = [b[0] - a[0], b[1] - a[1]];
@@ -147,13 +147,13 @@ impl Triangulator {
     }
 }
 
-/// Half the sum of the cross products (Newell's normal \[sutherland1974\]), relative to the first vertex for accuracy.
+/// Returns half the sum of the cross products (Newell's normal \[sutherland1974\]), relative to the first vertex for accuracy.
 pub(super) fn vector_area(points: &[DVec3]) -> DVec3 {
     let Some(&origin) = points.first() else { return DVec3::ZERO };
     points.windows(2).map(|pair| (pair[0] - origin).cross(pair[1] - origin)).sum::<DVec3>() * 0.5
 }
 
-/// The contours as index ranges, the outer one first.
+/// Iterates over the contours as index ranges, the outer one first.
 fn contours(n: usize, holes: &[u32]) -> impl Iterator<Item = std::ops::Range<usize>> {
     let starts = std::iter::once(0).chain(holes.iter().map(|&first| first as usize));
     let ends = holes.iter().map(|&first| first as usize).chain(std::iter::once(n));
@@ -172,7 +172,7 @@ fn dominant(normal: DVec3) -> (usize, bool) {
     (axis, normal[axis] > 0.0)
 }
 
-/// The component of `area` that the projection along `normal` sees.
+/// Returns the component of `area` along the projection axis of `normal`.
 fn projected(area: DVec3, normal: DVec3) -> f64 {
     let (axis, positive) = dominant(normal);
     if positive { area[axis] } else { -area[axis] }

@@ -1,4 +1,4 @@
-//! The state of one import and the dispatch of entities.
+//! State of one import, and the dispatch of entities.
 
 use super::{
     args::{Args, Result},
@@ -27,17 +27,17 @@ use std::{
     sync::Arc,
 };
 
-/// Most primitives (triangles, quadrics, luminaires) after array expansion.
+/// Maximum number of primitives (triangles, quadrics, luminaires) after array expansion.
 pub(super) const MAX_PRIMITIVES: u64 = 100_000_000;
 
-/// The state of one import. Hash tables are only looked up, never walked into the scene.
+/// State of one import. Hash tables are only used for lookups; their order never affects the scene.
 pub(super) struct Reader<'f> {
     pub files: &'f dyn Files,
     pub scene: Scene,
     pub warnings: Warnings,
     pub notes: Warnings,
     pub errors: Errors,
-    /// Every file read.
+    /// All files read.
     pub read: Vec<String>,
     pub texts: HashMap<String, Arc<Vec<u8>>>,
     pub file_indices: HashMap<String, u32>,
@@ -48,11 +48,11 @@ pub(super) struct Reader<'f> {
     pub unknown: HashSet<String>,
     /// Folder of the scene file, from the root: empty, or with a `/` at its end.
     pub folder: String,
-    /// Files outside it that were named.
+    /// Files outside this folder that were already reported.
     pub outside: HashSet<String>,
 
     pub colors: Table<Color>,
-    /// Places of clipped colors that were used.
+    /// Locations of clipped colors that were used.
     pub clipped_colors: HashSet<Location>,
     pub materials: Table<MaterialState>,
     /// Entries of the scene by name, newest last.
@@ -60,7 +60,7 @@ pub(super) struct Reader<'f> {
     pub vertices: Table<VertexState>,
     pub cameras: Table<Camera>,
     pub media: Table<MediumState>,
-    /// Whether a color was given since the medium was opened: colors of other contexts do not tint media.
+    /// Whether a color was given since the medium was opened. Earlier colors do not tint media.
     pub medium_colored: bool,
     /// Whether a color was given since the medium was opened and since its latest `sigma_s`.
     pub absorption_colored: bool,
@@ -68,41 +68,41 @@ pub(super) struct Reader<'f> {
     pub photometries: HashMap<String, (PhotometryId, Option<Tilt>)>,
     /// Hints about photometry that no luminaire has scaled yet.
     pub normalized: HashMap<PhotometryId, Remark>,
-    /// Textured materials that were found on surfaces without texture coordinates.
+    /// Textured materials found on surfaces without texture coordinates.
     pub without_uv: HashSet<MaterialId>,
     pub images: HashMap<(String, Role), ImageId>,
-    /// Images that are factors on reflectances.
+    /// Images used as factors on reflectances.
     pub reflectance_maps: HashSet<ImageId>,
     pub paths: BTreeMap<String, PathId>,
     pub path: Option<PathId>,
     /// Paths whose definition failed.
     pub faulty_paths: HashSet<PathId>,
 
-    /// Open objects and the places that opened them, outermost first.
+    /// Open objects and the locations that opened them, outermost first.
     pub objects: Vec<(ObjectId, Location)>,
     pub object_ids: HashMap<String, ObjectId>,
-    /// By object the place that opened it first; `None` once it is known that another place opens it, too.
+    /// Position that first opened each object; `None` once a second position that opens it has been reported.
     pub object_places: Vec<Option<Position>>,
     pub frames: Vec<Frame>,
     pub frame_ids: u32,
-    /// The group that surfaces go into.
+    /// Group that receives new surfaces.
     pub group: GroupId,
-    /// Primitives of each group after expansion.
+    /// Number of primitives of each group after expansion.
     pub counts: Vec<u64>,
-    /// Instances and steps of their motions, about.
+    /// Approximate number of instances and steps of their motions.
     pub stored: u64,
     /// Mirror images of groups.
     pub twins: HashMap<GroupId, GroupId>,
     pub triangulator: Triangulator,
 }
 
-/// Imports `entry` of `files`; ends with the error number `limit`.
+/// Imports `entry` of `files`. Stops at error number `limit`.
 pub(crate) fn load(files: &dyn Files, entry: &str, limit: usize) -> std::result::Result<Loaded, ImportErrors> {
     let mut reader = Reader::new(files, limit);
     let notes = match reader.read(entry) {
         Ok(notes) => notes,
         Err(error) => {
-            // `finish` returns it with the errors before it.
+            // `finish` returns this error together with the earlier ones.
             let _ = reader.errors.report(error);
             Vec::new()
         }
@@ -160,7 +160,7 @@ impl<'f> Reader<'f> {
         }
     }
 
-    /// One entity.
+    /// Dispatches one entity.
     pub(super) fn entity(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         match entity {
             b"v" => self.vertices.select(args, &mut self.errors).map(|_| ()),
@@ -218,7 +218,7 @@ impl<'f> Reader<'f> {
         }
     }
 
-    /// Reads the scene; returns what is worth a note.
+    /// Reads the scene and returns notes.
     fn read(&mut self, entry: &str) -> Result<Vec<Warning>> {
         let path = crate::files::resolve("", entry)
             .map_err(|fault| ImportError::new(Position { file: entry.to_owned(), line: 0, column: 0 }, fault))?;
@@ -234,12 +234,12 @@ impl<'f> Reader<'f> {
         Ok(camera.into_iter().chain(std::mem::take(&mut self.notes.0)).collect())
     }
 
-    /// Warns at the entity.
+    /// Adds a warning at the entity.
     pub(super) fn warn(&mut self, args: &Args<'_>, oddity: Oddity) {
         self.warnings.push(args.at(), oddity);
     }
 
-    /// A place of the description as one for messages.
+    /// Converts a location of the description to a position for messages.
     pub(super) fn position(&self, location: Location) -> Position {
         let file = self.scene.files.get(location.file as usize).cloned().unwrap_or_default();
         Position { file, line: location.line, column: location.column }

@@ -1,7 +1,7 @@
-//! Reading on after a fault, so that one import lists all errors of a scene.
+//! Error recovery: reading continues after a fault, so that one import lists all errors of a scene.
 //!
-//! A faulty entity is skipped. What it should have defined counts as defined, and as faulty: an entity that uses it has no
-//! further errors, as these may follow from the first. A limit of one error gives an import that ends at its first fault.
+//! A faulty entity is skipped. The name that it should define counts as defined but faulty. Further errors of an entity that uses a
+//! faulty name are dropped, because they may follow from the first. With a limit of one error, the import stops at its first fault.
 
 use super::{
     args::{Args, Result},
@@ -12,31 +12,31 @@ use crate::{Fault, ImportError, ImportErrors, Kind, Position};
 use femc_scene::{Interpolation, Location, MotionPath, Object, PathId};
 use std::collections::HashMap;
 
-/// The errors of an import so far.
+/// Errors of an import so far.
 #[derive(Debug)]
 pub(super) struct Errors {
-    /// In order of reading, each once.
+    /// Errors in order of reading, without duplicates.
     list: Vec<ImportError>,
     /// Number of errors that ends the import, >= 1.
     limit: usize,
-    /// Whether the current entity uses something faulty: its further errors are dropped.
+    /// Whether the current entity uses a faulty name: its further errors are dropped.
     tainted: bool,
-    /// Whether a limit that bounds memory was exceeded: nothing is read after it.
+    /// Whether a memory limit was exceeded: nothing is read after it.
     ended: bool,
-    /// Whether an include was skipped, so that any name may be defined in it.
+    /// Whether an include was skipped. Any name may be defined in it.
     lost_include: bool,
-    /// Faults of the files that cannot be used, by path.
+    /// Faults of unusable files, by path.
     failed: HashMap<String, Fault>,
 }
 
 impl Errors {
-    /// No errors; the import ends with the error number `limit`.
+    /// Creates an empty list. The import ends with error number `limit`.
     pub fn new(limit: usize) -> Self {
         let (list, failed) = (Vec::new(), HashMap::new());
         Self { list, limit: limit.max(1), tainted: false, ended: false, lost_include: false, failed }
     }
 
-    /// Keeps an error; fails with it if it is the last one that is wanted.
+    /// Records an error. Fails with it if it reaches the limit.
     pub fn report(&mut self, error: ImportError) -> Result<()> {
         self.tainted = true;
         let again =
@@ -47,18 +47,18 @@ impl Errors {
         if self.is_over() { Err(error) } else { Ok(()) }
     }
 
-    /// Reports that `name` is undefined; `nearest` gives the names near to it.
+    /// Reports that `name` is undefined. `nearest` returns similar names.
     pub fn report_undefined(
         &mut self,
         (at, kind, name): (Position, Kind, &str),
         nearest: impl FnOnce() -> Vec<String>,
     ) -> Result<()> {
-        // A scene may use any number of names of a skipped include: none of them is searched for.
+        // A scene may use any number of names from a skipped include, so similar names are not searched.
         let nearest = if self.lost_include { Vec::new() } else { nearest() };
         self.report(ImportError::new(at, Fault::Undefined { kind, name: name.to_owned(), nearest }))
     }
 
-    /// Whether an error may follow from an include that was skipped.
+    /// Returns whether an error may follow from a skipped include.
     fn follows(&self, fault: &Fault) -> bool {
         self.lost_include && matches!(fault, Fault::Undefined { .. } | Fault::NoContext { .. })
     }
@@ -68,7 +68,7 @@ impl Errors {
         self.tainted = true;
     }
 
-    /// Ends the import with the next error.
+    /// Makes the next error end the import.
     pub fn end(&mut self) {
         self.ended = true;
     }
@@ -77,12 +77,12 @@ impl Errors {
         self.ended || self.list.len() >= self.limit
     }
 
-    /// Fault of the file `path`, if it cannot be used and that is reported.
+    /// Returns the fault of the file `path`, if it is unusable and was reported.
     pub fn fault_of_file(&self, path: &str) -> Option<&Fault> {
         self.failed.get(path)
     }
 
-    /// The errors in order of place, if there are any. `files` are the source files in order of first use.
+    /// Returns the errors in order of position, if there are any. `files` are the source files in order of first use.
     pub fn finish(self, files: &[String]) -> std::result::Result<(), ImportErrors> {
         let mut errors = self.list;
         let complete = !(self.ended || errors.len() >= self.limit);
@@ -93,7 +93,7 @@ impl Errors {
 }
 
 impl Reader<'_> {
-    /// One entity of a file. Fails only where the import ends.
+    /// Processes one entity of a file. Fails only if the import ends.
     pub(super) fn step(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         let outer = std::mem::replace(&mut self.errors.tainted, false);
         let open = (self.frames.len(), self.objects.len());
@@ -108,7 +108,7 @@ impl Reader<'_> {
         outcome
     }
 
-    /// Restores the state after a faulty entity: `open` are the transforms and objects that were open before it.
+    /// Restores the state after a faulty entity. `open` are the numbers of transforms and objects that were open before it.
     fn recover(&mut self, error: ImportError, entity: &[u8], args: &Args<'_>, open: (usize, usize)) -> Result<()> {
         let fault = error.fault.clone();
         if !self.errors.tainted || self.errors.is_over() {
@@ -156,9 +156,9 @@ impl Reader<'_> {
             }
             _ => {}
         }
-        // Transforms of `i` and `ies` themselves.
+        // These are transforms of `i` and `ies` themselves.
         while self.frames.len() > frames {
-            // A limit that is exceeded here ends the import with the next error.
+            // If this exceeds a limit, the next error ends the import.
             let _ = self.pop_frame();
         }
         Ok(())
@@ -177,7 +177,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Defines the path `name`, without keys.
+    /// Defines the path `name` without keys.
     fn define_faulty_path(&mut self, name: &str, location: Location) {
         let id = PathId(self.scene.paths.len() as u32);
         let (name, interpolation) = (name.to_owned(), Interpolation::Linear);

@@ -1,13 +1,13 @@
-//! Spectra, black bodies and chromaticities to linear Rec.709.
+//! Conversion of spectra, black bodies and chromaticities to linear Rec.709.
 //!
-//! MGF's neutral colour is equal-energy light: `rd .4` under the default colour reflects 40 % in every channel. So the
-//! white point E is adapted to Rec.709's white by the Bradford transform (\[lam1985\]) before the primaries are applied, and
-//! E becomes exactly (1, 1, 1). The price: a D65 source comes out slightly blue, as it is relative to equal energy.
+//! MGF's neutral color is equal-energy light: `rd .4` with the default color reflects 40 % in every channel. The white point E is
+//! therefore adapted to Rec.709's white with the Bradford transform (\[lam1985\]) before the primaries are applied, and E becomes
+//! exactly (1, 1, 1). The price is that a D65 source appears slightly blue, because colors are relative to equal energy.
 
 use femc_math::{color::LUMINANCE_WEIGHTS, elementary::double as elementary};
 
-/// XYZ relative to white E, to linear Rec.709: Bradford adaptation from E to D65 (0.3127, 0.3290), then the inverse of the
-/// primaries' matrix (\[bt709\]); computed in exact rationals, rows sum to 1.
+/// Matrix from XYZ relative to white E to linear Rec.709: Bradford adaptation from E to D65 (0.3127, 0.3290), then the inverse of
+/// the primaries' matrix (\[bt709\]). It was computed in exact rationals; rows sum to 1.
 const XYZ_TO_RGB: [[f64; 3]; 3] = [
     [3.1466576541357187, -1.6664637545108374, -0.4801938996248811],
     [-0.9955216057807181, 1.955756733809069, 0.03976487197164932],
@@ -66,40 +66,40 @@ const STEP: f64 = 10.0;
 /// A color of luminance 1, and whether it had to be clipped into Rec.709.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Gamut {
-    /// Without negative components.
+    /// Color without negative components.
     pub rgb: [f64; 3],
-    /// Before clipping; equal to `rgb` unless it was clipped, or where it has no positive luminance.
+    /// Color before clipping. Equal to `rgb` if it was not clipped, or if it has no positive luminance.
     pub wide: [f64; 3],
     pub clipped: bool,
 }
 
 impl Gamut {
-    /// The linear Rec.709 color `raw` at luminance 1; negative components are clipped to 0. `None` for black.
+    /// Scales the linear Rec.709 color `raw` to luminance 1 and clips negative components to 0. Returns `None` for black.
     pub fn new(raw: [f64; 3]) -> Option<Self> {
-        // Rounding leaves a primary's other components slightly below 0: that does not count as clipping.
+        // Rounding leaves the other components of a primary slightly below 0. That does not count as clipping.
         let clipped = raw.iter().any(|&x| x < -1e-6 * luminance(raw).max(0.0));
         let rgb = normalized(raw.map(|x| x.max(0.0)))?;
-        // Chromaticities far below the line of purples have no positive luminance once they are adapted to the white point.
+        // Chromaticities far below the line of purples have no positive luminance after the adaptation to the white point.
         let wide = if clipped { normalized(raw).unwrap_or(rgb) } else { rgb };
         Some(Self { rgb, wide, clipped })
     }
 }
 
-/// Rec.709 luminance.
+/// Returns the Rec.709 luminance.
 pub(super) fn luminance(rgb: [f64; 3]) -> f64 {
     let weights = LUMINANCE_WEIGHTS.to_array().map(f64::from);
     (rgb[0] * weights[0] + rgb[1] * weights[1] + rgb[2] * weights[2]) / (weights[0] + weights[1] + weights[2])
 }
 
-/// `rgb` scaled to luminance 1; `None` for black.
+/// Returns `rgb` scaled to luminance 1; `None` for black.
 pub(super) fn normalized(rgb: [f64; 3]) -> Option<[f64; 3]> {
     let y = luminance(rgb);
     let scaled = rgb.map(|x| x / y);
     (y > 0.0 && scaled.iter().all(|x| x.is_finite())).then_some(scaled)
 }
 
-/// The Rec.709 colour of a chromaticity, luminance 1; negative components are clipped to 0.
-/// `None` where the chromaticity has no finite colour.
+/// Returns the Rec.709 color of a chromaticity, with luminance 1 and negative components clipped to 0. Returns `None` if the
+/// chromaticity has no finite color.
 pub(super) fn from_xy(x: f64, y: f64) -> Option<Gamut> {
     from_xyz([x / y, 1.0, (1.0 - x - y) / y])
 }
@@ -108,7 +108,7 @@ fn from_xyz(xyz: [f64; 3]) -> Option<Gamut> {
     Gamut::new(XYZ_TO_RGB.map(|row| row[0] * xyz[0] + row[1] * xyz[1] + row[2] * xyz[2]))
 }
 
-/// The chromaticity nearest to `[x, y]` that light can have: inside the spectral locus and the line of purples, or on them.
+/// Returns the physically possible chromaticity nearest to `[x, y]`: inside the spectral locus and the line of purples, or on them.
 pub(super) fn nearest_visible([x, y]: [f64; 2]) -> [f64; 2] {
     let locus = OBSERVER.map(|[a, b, c]| [a / (a + b + c), b / (a + b + c)]);
     let edges = || (0..locus.len()).map(|i| (locus[i], locus[(i + 1) % locus.len()]));
@@ -129,8 +129,8 @@ pub(super) fn nearest_visible([x, y]: [f64; 2]) -> [f64; 2] {
     edges().map(on_edge).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or([x, y])
 }
 
-/// CIE chromaticity of the spectral density `power` (any unit, per nm), integrated every nm; flat is exactly (1/3, 1/3).
-/// `None` for a spectrum without visible power.
+/// Returns the CIE chromaticity of the spectral density `power` (any unit, per nm), integrated every nm. A flat spectrum gives
+/// exactly (1/3, 1/3). Returns `None` for a spectrum without visible power.
 fn chromaticity(power: impl Fn(f64) -> f64) -> Option<[f64; 2]> {
     let mut xyz = [0.0; 3];
     let mut equal_energy = [0.0; 3];
@@ -149,7 +149,7 @@ fn chromaticity(power: impl Fn(f64) -> f64) -> Option<[f64; 2]> {
     (y > 0.0 && sum.is_finite()).then_some(chromaticity)
 }
 
-/// Colour-matching functions at a wavelength in [380, 780] nm.
+/// Returns the color-matching functions at a wavelength in [380, 780] nm.
 fn observer(nm: f64) -> [f64; 3] {
     let at = (nm - FIRST) / STEP;
     let i = (at as usize).min(OBSERVER.len() - 2);
@@ -157,8 +157,8 @@ fn observer(nm: f64) -> [f64; 3] {
     std::array::from_fn(|k| OBSERVER[i][k] * (1.0 - f) + OBSERVER[i + 1][k] * f)
 }
 
-/// The colour of evenly spaced samples from `first` to `last` nm, linear between them and 0 outside.
-/// `None` without visible power.
+/// Returns the color of evenly spaced samples from `first` to `last` nm, linear between them and 0 outside. Returns `None` without
+/// visible power.
 pub(super) fn from_samples(first: f64, last: f64, samples: &[f64]) -> Option<Gamut> {
     let spacing = (last - first) / (samples.len() - 1) as f64;
     let peak = samples.iter().copied().fold(0.0, f64::max);
@@ -175,18 +175,18 @@ pub(super) fn from_samples(first: f64, last: f64, samples: &[f64]) -> Option<Gam
     from_xy(x, y)
 }
 
-/// The colour of a black body of `kelvin`.
+/// Returns the color of a black body of `kelvin`.
 pub(super) fn from_temperature(kelvin: f64) -> Option<Gamut> {
     let [x, y] = chromaticity(|nm| planck(nm, kelvin))?;
     from_xy(x, y)
 }
 
-/// Planck's law relative to its value at the red end, where it is largest for the coolest bodies. c2 = h c / k.
+/// Returns Planck's law relative to its value at the red end, where it is largest for the coolest bodies. c2 = h c / k.
 fn planck(nm: f64, kelvin: f64) -> f64 {
     const C2: f64 = 1.438_776_877e7;
     let exponent = |nm: f64| C2 / (nm * kelvin);
     let ratio = LAST / nm;
-    // (e^b - 1) / (e^a - 1) = e^(b - a) (1 - e^-b) / (1 - e^-a): no overflow for cool bodies.
+    // (e^b - 1) / (e^a - 1) = e^(b - a) (1 - e^-b) / (1 - e^-a), which does not overflow for cool bodies.
     let (a, b) = (exponent(nm), exponent(LAST));
     ratio * ratio * ratio * ratio * ratio * elementary::exp(b - a) * elementary::exp_m1(-b) / elementary::exp_m1(-a)
 }
@@ -210,7 +210,7 @@ mod tests {
     #[test]
     fn the_table_integrates_to_equal_sums_as_the_cie_made_it() {
         let sum = |k: usize| OBSERVER.iter().map(|row| row[k]).sum::<f64>();
-        // Equal at the CIE's 1 nm; every tenth value leaves a trace of the steps.
+        // The sums are equal at the CIE's 1 nm; with every tenth value, a small step error remains.
         close(&[sum(0) / sum(1), sum(2) / sum(1)], &[1.0, 1.0], 1e-3);
     }
 

@@ -1,9 +1,9 @@
-//! The transform stack: baked transforms, groups for arrays and paths, and their placement.
+//! Transform stack: baked transforms, groups for arrays and paths, and their placement.
 //!
-//! A plain `xf` is baked into the vertices. An array or a path opens a group; closing it places instances in the group
-//! around it, so that copies share their geometry. Primitives are counted as prototypes times instances before anything
-//! is placed. No instance mirrors: a mirrored copy is an instance of a mirrored twin of the group (made once), so that a
-//! renderer never meets a triangle whose winding an instance has turned over.
+//! A plain `xf` is baked into the vertices. An array or a path opens a group. Closing it places instances in the enclosing group,
+//! so copies share their geometry. Primitives are counted as prototypes times instances before anything is placed. Instances never
+//! mirror: a mirrored copy is an instance of a mirrored twin of the group, which is created once. So an instance never reverses the
+//! winding of a triangle in the renderer.
 
 use super::{
     args::{Args, Result},
@@ -17,29 +17,29 @@ use femc_math::{
 };
 use femc_scene::{Group, GroupId, Instance, Motion, MotionStep, Shape};
 
-/// Arrays of more copies are split in two levels, so that memory grows with the square root of their length.
+/// Number of copies above which an array is split into two levels, so that memory grows with the square root of its length.
 const FLAT_ARRAY: u64 = 4096;
-/// Most instances and steps of their motions that are stored.
+/// Maximum number of stored instances and steps of their motions.
 const MAX_STORED: u64 = 10_000_000;
-/// Most arrays and paths around a surface.
+/// Maximum nesting of arrays and paths around a surface.
 const MAX_NESTING: u64 = 128;
 
-/// A transform in force.
+/// A transform on the stack.
 pub(super) struct Frame {
-    /// To the frame of the innermost group.
+    /// Transform to the frame of the innermost group.
     pub to_group: Transform,
-    /// Its uniform scale.
+    /// Uniform scale of `to_group`.
     pub scale: f64,
-    /// Whether it turns right hands into left ones.
+    /// Whether `to_group` mirrors.
     pub mirrored: bool,
-    /// Unique among the frames of a scene.
+    /// Id, unique among the frames of a scene.
     pub id: u32,
-    /// The group that this frame opened.
+    /// Group that this frame opened.
     opened: Option<Opened>,
     at: Position,
-    /// Copies of what is inside, over all frames around, saturated.
+    /// Number of copies of the contents, over all enclosing frames, saturated.
     copies: u64,
-    /// Groups around what is inside.
+    /// Number of groups around the contents.
     nesting: u64,
 }
 
@@ -50,12 +50,12 @@ struct Opened {
 }
 
 impl Frame {
-    /// The transform of `outer` once more, opened at `at`.
+    /// Returns a frame with the transform of `outer`, opened at `at`.
     pub fn like(outer: &Self, at: Position) -> Self {
         Self { opened: None, at, ..*outer }
     }
 
-    /// The world's.
+    /// Returns the frame of the world.
     pub fn world() -> Self {
         Self {
             to_group: Transform::IDENTITY,
@@ -71,7 +71,7 @@ impl Frame {
 }
 
 impl Reader<'_> {
-    /// `xf [args]`.
+    /// Reads `xf [args]`.
     pub(super) fn xf(&mut self, args: &Args<'_>) -> Result<()> {
         if args.len() > 0 {
             return self.push_frame(args, 0);
@@ -82,7 +82,7 @@ impl Reader<'_> {
         self.pop_frame()
     }
 
-    /// The transform in force.
+    /// Returns the current transform.
     pub(super) fn frame(&self) -> &Frame {
         self.frames.last().expect("the world's frame is never popped")
     }
@@ -127,7 +127,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Pops the innermost transform and places what its group holds.
+    /// Pops the innermost transform and places the contents of its group.
     pub(super) fn pop_frame(&mut self) -> Result<()> {
         let Some(Frame { opened: Some(opened), at, .. }) = self.frames.pop() else { return Ok(()) };
         self.group = opened.outer;
@@ -205,7 +205,7 @@ impl Reader<'_> {
             }
             return;
         };
-        // Rows of `side` copies, then what is left of the last row.
+        // Rows of `side` copies, then the rest of the last row.
         let row = self.new_group();
         self.counts[row.index()] = self.counts[child.index()].saturating_mul(side);
         let within =
@@ -231,7 +231,7 @@ impl Reader<'_> {
         self.scene.groups[parent.index()].instances.push(Instance { group, motion: Motion { steps } });
     }
 
-    /// The mirror image of `group` about its x = 0 plane.
+    /// Returns the mirror image of `group` about its x = 0 plane.
     fn twin(&mut self, group: GroupId) -> GroupId {
         if let Some(&twin) = self.twins.get(&group) {
             return twin;
@@ -250,7 +250,7 @@ impl Reader<'_> {
         twin
     }
 
-    /// The world transforms of everything made now: one for each copy.
+    /// Returns the world transforms of anything created now, one for each copy.
     pub(super) fn world_transforms(&self, limit: u64) -> std::result::Result<Vec<Transform>, Placement> {
         if self.frame().copies > limit {
             return Err(Placement::TooMany);
@@ -274,18 +274,18 @@ impl Reader<'_> {
         Ok(transforms)
     }
 
-    /// Whether a transform other than the identity is in force.
+    /// Returns whether the current transform is not the identity.
     pub(super) fn is_transformed(&self) -> bool {
         self.frames.iter().any(|frame| frame.opened.is_some() || frame.to_group != Transform::IDENTITY)
     }
 }
 
-/// Why something has no list of world transforms.
+/// Reason why an element has no list of world transforms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Placement {
-    /// A path moves it.
+    /// A path moves the element.
     Moving,
-    /// More copies than the limit.
+    /// The element has more copies than the limit.
     TooMany,
 }
 
@@ -293,7 +293,7 @@ fn mirror_x() -> Transform {
     Transform::from_mat3_translation(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)), DVec3::ZERO)
 }
 
-/// `steps` with fixed transforms before and after them.
+/// Returns `steps` with fixed transforms before and after them.
 fn around_mirror(steps: &[MotionStep], before: Option<Transform>, after: Option<Transform>) -> Vec<MotionStep> {
     let mut all = Vec::new();
     let fixed = |t: Option<Transform>| t.map(MotionStep::Static);
@@ -303,7 +303,7 @@ fn around_mirror(steps: &[MotionStep], before: Option<Transform>, after: Option<
     all
 }
 
-/// Mirrors the surfaces of a group about x = 0; fronts stay fronts.
+/// Mirrors the surfaces of a group about x = 0. Front sides stay front sides.
 fn mirror_surfaces(group: &mut Group) {
     let flip = |v: &mut DVec3| v.x = -v.x;
     for vertex in &mut group.vertices {

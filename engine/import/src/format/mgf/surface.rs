@@ -1,7 +1,7 @@
-//! Surfaces: `f`, `fh`, `prism`, `sph`, `cyl`, `cone`, `ring`, `torus`.
+//! Surface entities: `f`, `fh`, `prism`, `sph`, `cyl`, `cone`, `ring`, `torus`.
 //!
-//! MGF's transforms are similarities, so every shape maps to one of its kind. Mirrors: curved surfaces keep their facing,
-//! and faces are reversed, so that the mirror image of a solid is a solid with its front sides out.
+//! MGF's transforms are similarities, so every shape maps to a shape of the same kind. Under a mirror, curved surfaces keep their
+//! facing and faces are reversed, so the mirror image of a solid is a solid with its front sides out.
 
 use super::{
     args::{Args, Result},
@@ -12,7 +12,7 @@ use crate::{Fault, Oddity};
 use femc_math::glam::DVec3;
 use femc_scene::{Face, Facing, MaterialId, Quadric, Shape, Vertex};
 
-/// Deviation from the plane, relative to a face's size, that is said to be odd.
+/// Deviation from the plane, relative to a face's size, above which a warning is given.
 const PLANAR: f64 = 5e-3;
 
 impl Reader<'_> {
@@ -22,7 +22,7 @@ impl Reader<'_> {
         self.add_face(args, indices, &[])
     }
 
-    /// `fh v1 .. - v5 ..`.
+    /// Reads `fh v1 .. - v5 ..`.
     pub(super) fn fh(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(3.., "at least three vertices")?;
         let (mut indices, mut holes) = (Vec::new(), Vec::new());
@@ -97,7 +97,7 @@ impl Reader<'_> {
         }
     }
 
-    /// `prism v1 .. vn len`: the far end is reversed, sides run from each edge to its copy.
+    /// Reads `prism v1 .. vn len`. The far end is reversed, and sides run from each edge to its copy.
     pub(super) fn prism(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(4.., "at least three vertices and a length")?;
         let n = args.len() - 1;
@@ -110,7 +110,7 @@ impl Reader<'_> {
         let bare = |v: &Vertex| Vertex { normal: None, ..*v };
         let base = near.iter().map(|v| self.add_transformed(args, bare(v))).collect::<Result<Vec<_>>>()?;
         let mut end = far.iter().map(|v| self.add_transformed(args, bare(v))).collect::<Result<Vec<_>>>()?;
-        // Sides share the ends' vertices unless they carry normals of their own.
+        // Sides share the vertices of the ends unless they have normals of their own.
         let smooth = near.iter().any(|v| v.normal.is_some());
         let (near_side, far_side) = match smooth {
             true => (
@@ -212,7 +212,7 @@ impl Reader<'_> {
         self.transformed(args, vertex)
     }
 
-    /// Position and normal of the first argument's vertex.
+    /// Returns position and normal of the vertex that the first argument names.
     fn oriented_vertex(&mut self, args: &Args<'_>) -> Result<(DVec3, DVec3)> {
         let vertex = self.transformed_vertex(args, 0)?;
         let fault =
@@ -239,7 +239,7 @@ impl Reader<'_> {
     }
 }
 
-/// Lengths of the contours of `n` vertices whose holes start at `holes`.
+/// Returns the lengths of the contours of `n` vertices whose holes start at `holes`.
 fn contour_lengths(n: usize, holes: &[u32]) -> Vec<usize> {
     let ends = holes.iter().map(|&first| first as usize).chain([n]);
     let starts = [0].into_iter().chain(holes.iter().map(|&first| first as usize));

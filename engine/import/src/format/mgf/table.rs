@@ -1,4 +1,4 @@
-//! Named contexts: the `id = template` rule of MGF, the same for all kinds.
+//! Named contexts: MGF's rule `id = template`, shared by all kinds of contexts.
 
 use super::{
     args::{Args, Result},
@@ -7,18 +7,18 @@ use super::{
 use crate::{Fault, Kind};
 use std::collections::{HashMap, HashSet};
 
-/// What one context line did.
+/// Effect of one context line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Opened {
-    /// The unnamed context, reset.
+    /// The unnamed context was reset and selected.
     Unnamed,
-    /// A context chosen again, as it was.
+    /// An existing context was selected unchanged.
     Again,
-    /// A context set to the default or to a template.
+    /// A context was set to the default or to a template.
     New,
 }
 
-/// The contexts of one kind. Slot 0 is the unnamed one.
+/// The contexts of one kind. Slot 0 is the unnamed context.
 pub(super) struct Table<T> {
     kind: Kind,
     default: T,
@@ -66,7 +66,7 @@ impl<T: Clone> Table<T> {
         Ok(Opened::New)
     }
 
-    /// Gives the slot of `name` a value; makes it where there is none.
+    /// Sets the slot of `name` to a value; creates the slot if it is missing.
     fn put(&mut self, name: &str, value: T) -> u32 {
         if let Some(&index) = self.names.get(name) {
             self.slots[index as usize] = value;
@@ -78,7 +78,7 @@ impl<T: Clone> Table<T> {
         index
     }
 
-    /// The slot that argument `i` names. A name that stands for nothing is reported, and defined as faulty.
+    /// Returns the slot that argument `i` names. An undefined name is reported and defined as faulty.
     pub fn index(&mut self, args: &Args<'_>, i: usize, errors: &mut Errors) -> Result<u32> {
         let name = args.text(i);
         if let Some(&index) = self.names.get(&*name) {
@@ -96,7 +96,7 @@ impl<T: Clone> Table<T> {
         Ok(index)
     }
 
-    /// Defines a context whose definition failed, and makes it the current one.
+    /// Defines a context whose definition failed, and selects it.
     pub fn define_faulty(&mut self, name: Option<&str>) {
         self.current = match name {
             Some(name) => self.put(name, self.default.clone()),
@@ -113,12 +113,12 @@ impl<T: Clone> Table<T> {
         self.faulty.insert(self.current);
     }
 
-    /// Whether the current context is faulty.
+    /// Returns whether the current context is faulty.
     pub fn is_faulty(&self) -> bool {
         self.faulty.contains(&self.current)
     }
 
-    /// Whether a named context is current.
+    /// Returns whether the current context is named.
     pub fn is_named(&self) -> bool {
         self.current != 0
     }
@@ -139,12 +139,12 @@ impl<T: Clone> Table<T> {
         &self.slots[index as usize]
     }
 
-    /// The named contexts in order of first definition.
+    /// Iterates over the named contexts in order of first definition.
     pub fn named(&self) -> impl Iterator<Item = &T> {
         self.slots.iter().skip(1)
     }
 
-    /// The named contexts whose definition did not fail.
+    /// Iterates over the named contexts whose definition did not fail.
     pub fn sound(&self) -> impl Iterator<Item = &T> {
         let named = self.slots.iter().enumerate().skip(1);
         named.filter(|(i, _)| !self.faulty.contains(&(*i as u32))).map(|(_, value)| value)
@@ -155,7 +155,7 @@ impl<T: Clone> Table<T> {
     }
 }
 
-/// Up to three of `names` that are near to `name` by edit distance, nearest first, ties in alphabetical order.
+/// Returns up to three of `names` with the least edit distance to `name`, nearest first; ties are in alphabetical order.
 pub(super) fn nearest<'n>(name: &str, names: impl Iterator<Item = &'n String>) -> Vec<String> {
     let mut ranked: Vec<(usize, &String)> = Vec::new();
     for other in names {
@@ -170,7 +170,7 @@ pub(super) fn nearest<'n>(name: &str, names: impl Iterator<Item = &'n String>) -
     ranked.into_iter().map(|(_, name)| name.clone()).collect()
 }
 
-/// Levenshtein distance of the first 48 bytes.
+/// Returns the Levenshtein distance of the first 48 bytes.
 fn distance(a: &str, b: &str) -> usize {
     let (a, b) = (&a.as_bytes()[..a.len().min(48)], &b.as_bytes()[..b.len().min(48)]);
     let mut row: Vec<usize> = (0..=b.len()).collect();

@@ -1,4 +1,4 @@
-//! `map_rd FILE`, `map_ed FILE`, `map_n FILE`: image textures of materials.
+//! Image textures of materials: `map_rd FILE`, `map_ed FILE`, `map_n FILE`.
 
 use super::{
     args::{Args, Result},
@@ -11,7 +11,7 @@ use crate::{
 };
 use femc_scene::ImageId;
 
-/// Largest image file, bytes.
+/// Maximum size of an image file, bytes.
 const MAX_FILE: u64 = 1 << 31;
 
 impl Reader<'_> {
@@ -34,7 +34,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The image of a file in a role; decoded once.
+    /// Returns the image of a file in a role. Each image is decoded once.
     fn image(&mut self, args: &Args<'_>, path: &str, role: Role) -> Result<ImageId> {
         let key = (path.to_owned(), role);
         if let Some(&id) = self.images.get(&key) {
@@ -61,7 +61,7 @@ impl Reader<'_> {
         Ok(id)
     }
 
-    /// Says something of an image file, once.
+    /// Warns once about an image file.
     fn texture_remark(&mut self, args: &Args<'_>, path: &str, what: String) {
         let oddity = Oddity::Texture { path: path.to_owned(), what };
         if !self.warnings.0.iter().any(|known| known.oddity == oddity) {
@@ -69,7 +69,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Says that factors on a reflectance are above 1.
+    /// Warns if factors on a reflectance are above 1.
     fn check_factors(&mut self, args: &Args<'_>, id: ImageId) {
         if !self.reflectance_maps.insert(id) {
             return;

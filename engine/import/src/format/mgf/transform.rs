@@ -1,8 +1,8 @@
-//! The arguments of `xf`: fixed steps, repetitions, arrays and paths, read into layers.
+//! Parser of the arguments of `xf`: fixed steps, repetitions, arrays and paths become layers.
 //!
-//! Arguments apply left to right. `-i n` repeats, and `-a n` makes an array of, the arguments after it up to the next `-i`
-//! or `-a` (as in MGF, `-i 1` ends an array's arguments). What comes before the first array or path is baked into the
-//! vertices; every array or path after it is a layer of instances around what the one before it placed.
+//! Arguments apply from left to right. `-i n` repeats the arguments after it, up to the next `-i` or `-a`; `-a n` makes an array of
+//! them (as in MGF, `-i 1` ends an array's arguments). Arguments before the first array or path are baked into the vertices. Every
+//! later array or path is a layer of instances around the layer before it.
 
 use super::args::{Args, Result, Tail};
 use crate::{Fault, Kind};
@@ -12,21 +12,21 @@ use femc_math::{
 };
 use femc_scene::{Motion, MotionStep, PathId};
 
-/// Most copies of an array and repetitions of `-i`; more could not hold one primitive each.
+/// Maximum number of copies of an array and of repetitions of `-i`. More copies could not contain one primitive each.
 pub(super) const MAX_COPIES: u64 = 100_000_000;
-/// Most steps of the motions of one `xf` with paths in it.
+/// Maximum number of steps of the motions of one `xf` that contains paths.
 const MAX_STEPS: u64 = 10_000;
 
-/// What an `xf` does.
+/// Parsed transform of an `xf`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Spec {
-    /// Applied first, to vertices.
+    /// Transform that is applied first, to vertices.
     pub baked: Transform,
-    /// Placements of what is inside, from the innermost out.
+    /// Placements of the contents, from the innermost outward.
     pub layers: Vec<Layer>,
 }
 
-/// One array (or a path alone): copy k goes through `before`, k times `body`, and `after`.
+/// One array (or a single path). Copy k is transformed by `before`, then k times by `body`, then by `after`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Layer {
     pub before: Vec<MotionStep>,
@@ -37,7 +37,7 @@ pub(super) struct Layer {
 }
 
 impl Layer {
-    /// The motion of copy `k`.
+    /// Returns the motion of copy `k`.
     pub fn motion(&self, k: u64) -> Vec<MotionStep> {
         let mut steps = Vec::new();
         for &step in &self.before {
@@ -50,13 +50,13 @@ impl Layer {
         steps
     }
 
-    /// The body as one fixed transform.
+    /// Returns the body as one fixed transform.
     pub fn fixed_body(&self) -> Option<Transform> {
         Motion { steps: self.body.clone() }.as_static()
     }
 }
 
-/// Appends `step`; neighbouring fixed steps become one.
+/// Appends `step`; merges consecutive fixed steps.
 pub(super) fn push_step(steps: &mut Vec<MotionStep>, step: MotionStep) {
     match (steps.last_mut(), step) {
         (_, MotionStep::Static(t)) if t == Transform::IDENTITY => {}
@@ -65,7 +65,7 @@ pub(super) fn push_step(steps: &mut Vec<MotionStep>, step: MotionStep) {
     }
 }
 
-/// Appends `n` times `body`.
+/// Appends `body` `n` times.
 fn repeat(body: &[MotionStep], n: u64, steps: &mut Vec<MotionStep>) {
     if let Some(fixed) = (Motion { steps: body.to_vec() }).as_static() {
         push_step(steps, MotionStep::Static(power(fixed, n)));
@@ -78,7 +78,7 @@ fn repeat(body: &[MotionStep], n: u64, steps: &mut Vec<MotionStep>) {
     }
 }
 
-/// `t` applied `n` times, by repeated squaring.
+/// Returns `t` applied `n` times, by repeated squaring.
 pub(super) fn power(t: Transform, mut n: u64) -> Transform {
     let (mut result, mut square) = (Transform::IDENTITY, t);
     while n > 0 {
@@ -93,12 +93,12 @@ pub(super) fn power(t: Transform, mut n: u64) -> Transform {
     result
 }
 
-/// Uniform scale (>= 0) of a similarity.
+/// Returns the uniform scale (>= 0) of a similarity.
 pub(super) fn scale_of(t: &Transform) -> f64 {
     elementary::double::cbrt(t.matrix3.determinant().abs())
 }
 
-/// Whether `t` turns right hands into left ones.
+/// Returns whether `t` mirrors.
 pub(super) fn is_mirror(t: &Transform) -> bool {
     t.matrix3.determinant() < 0.0
 }
@@ -109,7 +109,7 @@ enum Repeat {
     Array(u64),
 }
 
-/// Reads transform arguments. `find` looks a path up by name.
+/// Parses transform arguments. `find` looks a path up by name.
 pub(super) fn parse(tail: Tail<'_>, find: &dyn Fn(&str) -> std::result::Result<PathId, Fault>) -> Result<Spec> {
     let args = tail.args;
     let mut builder = Builder { spec: Spec { baked: Transform::IDENTITY, layers: Vec::new() }, open: None };
@@ -141,7 +141,7 @@ pub(super) fn parse(tail: Tail<'_>, find: &dyn Fn(&str) -> std::result::Result<P
 
 struct Builder {
     spec: Spec,
-    /// The layer that takes further steps.
+    /// Layer that receives further steps.
     open: Option<Layer>,
 }
 
@@ -200,7 +200,7 @@ impl Builder {
     }
 }
 
-/// One option at `i` and the number of fields it takes.
+/// Parses one option at `i`. Returns the step and the number of fields used.
 fn step(
     args: &Args<'_>,
     i: usize,
@@ -239,7 +239,7 @@ fn step(
     }
 }
 
-/// Fails unless the option at `i` has `n` more fields after it.
+/// Checks that `n` more fields follow the option at `i`.
 fn need(args: &Args<'_>, i: usize, n: usize) -> Result<()> {
     let found = args.len() - i - 1;
     if found >= n {
@@ -253,7 +253,7 @@ fn rows(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> DMat3 {
     DMat3::from_cols_array_2d(&[x, y, z]).transpose()
 }
 
-/// Sine and cosine of an angle in degrees; exact at multiples of a right angle, so that turned boxes stay boxes.
+/// Returns sine and cosine of an angle in degrees. They are exact at multiples of a right angle, so that rotated boxes stay boxes.
 fn sin_cos_degrees(degrees: f64) -> (f64, f64) {
     let turn = elementary::double::fmod(degrees, 360.0);
     match if turn < 0.0 { turn + 360.0 } else { turn } {
@@ -277,7 +277,7 @@ fn check_finite(args: &Args<'_>, spec: &Spec) -> Result<()> {
     if finite { Ok(()) } else { Err(args.fault(Fault::NotFinite { what: "the transform" })) }
 }
 
-/// The fault of a path that is not there.
+/// Returns the fault of an undefined path.
 pub(super) fn undefined_path(name: &str, nearest: Vec<String>) -> Fault {
     Fault::Undefined { kind: Kind::Path, name: name.to_owned(), nearest }
 }

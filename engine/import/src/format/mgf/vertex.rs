@@ -8,11 +8,11 @@ use crate::Fault;
 use femc_math::glam::{DVec2, DVec3};
 use femc_scene::{GroupId, Vertex};
 
-/// A vertex as it stands.
+/// Current state of a vertex.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct VertexState {
     pub vertex: Vertex,
-    /// Where it was put last: the frame's id, the group, the index there. Neighbouring faces share it.
+    /// Last placement: the frame's id, the group, the index in the group. Neighboring faces share it.
     placed: Option<(u32, GroupId, u32)>,
 }
 
@@ -49,13 +49,13 @@ impl Reader<'_> {
         &mut state.vertex
     }
 
-    /// The vertex that argument `i` names, in its own coordinates.
+    /// Returns the vertex that argument `i` names, in its own coordinates.
     pub(super) fn vertex(&mut self, args: &Args<'_>, i: usize) -> Result<Vertex> {
         let slot = self.vertices.index(args, i, &mut self.errors)?;
         Ok(self.vertices.get(slot).vertex)
     }
 
-    /// `vertex` in the group's frame.
+    /// Returns `vertex` in the group's frame.
     pub(super) fn transformed(&self, args: &Args<'_>, vertex: Vertex) -> Result<Vertex> {
         let frame = self.frame();
         let position = frame.to_group.transform_point3(vertex.position);
@@ -69,7 +69,7 @@ impl Reader<'_> {
         Ok(Vertex { position, normal, uv: vertex.uv })
     }
 
-    /// Adds a vertex of the group's frame to the group.
+    /// Adds a vertex, given in the group's frame, to the group.
     pub(super) fn add_vertex(&mut self, args: &Args<'_>, vertex: Vertex) -> Result<u32> {
         let vertices = &mut self.scene.groups[self.group.index()].vertices;
         let limit = u64::from(u32::MAX - 1);
@@ -81,7 +81,7 @@ impl Reader<'_> {
         Ok(index)
     }
 
-    /// The index in the group of the vertex that argument `i` names, under the transform in force.
+    /// Returns the index in the group of the vertex that argument `i` names, with the current transform.
     pub(super) fn placed_vertex(&mut self, args: &Args<'_>, i: usize) -> Result<u32> {
         let slot = self.vertices.index(args, i, &mut self.errors)?;
         let state = *self.vertices.get(slot);

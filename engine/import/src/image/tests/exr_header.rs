@@ -1,4 +1,4 @@
-//! Each attribute of an EXR that says what its values mean is used, or a remark names it.
+//! Tests that each EXR attribute that affects the values is used or named by a remark.
 
 use super::*;
 use exr_prelude::{
@@ -10,7 +10,7 @@ const SIZE: (usize, usize) = (3, 2);
 
 type AnyLayer = Layer<AnyChannels<FlatSamples>>;
 
-/// A layer of 3 x 2 pixels whose channels have these values everywhere, and 10 times more in the last pixel.
+/// Returns a layer of 3 x 2 pixels whose channels have these values everywhere, and 10 times as much in the last pixel.
 fn layer(channels: &[(&str, f32)], attributes: LayerAttributes) -> AnyLayer {
     let list: SmallVec<[AnyChannel<FlatSamples>; 4]> = channels
         .iter()
@@ -34,18 +34,18 @@ fn display() -> ImageAttributes {
     ImageAttributes::new(IntegerBounds::from_dimensions(SIZE))
 }
 
-/// A file of one part with these channels.
+/// Returns a file of one part with these channels.
 fn plain(channels: &[(&str, f32)]) -> Vec<u8> {
     file(vec![layer(channels, LayerAttributes::default())], display())
 }
 
-/// The first pixel and the remarks, or the error.
+/// Returns the first pixel and the remarks, or the error.
 fn read(bytes: &[u8], role: Role) -> Result<([f32; 3], Vec<String>), String> {
     let decoded = decode("t.exr", bytes, role, 0).map_err(|fault| fault.to_string())?;
     Ok((decoded.image.pixels[0], decoded.remarks))
 }
 
-/// Channels with their values; the pixel or the error that they give; the remark.
+/// Channels with their values; the expected pixel or error; the expected remark.
 type Row<'r> = (&'r [(&'r str, f32)], Result<[f32; 3], &'r str>, &'r str);
 
 #[test]
@@ -116,10 +116,10 @@ fn the_picture_is_the_display_window() {
     let black = vec![0.0; 5];
     let wanted = [black, vec![0.0, 1.0, 1.0, 1.0, 0.0], vec![0.0, 1.0, 1.0, 10.0, 0.0]].concat();
     assert_eq!((size, values, remarks.len()), ((5, 3), wanted, 0));
-    // Overscan: what is beside the picture is cut off.
+    // Overscan: data outside the picture is cut off.
     let (size, values, _) = shown((-1, -1), (0, 0), (2, 1));
     assert_eq!((size, values), ((2, 1), vec![1.0, 10.0]));
-    // Nothing in common.
+    // Disjoint windows.
     let (_, values, remarks) = shown((100, 0), (0, 0), (2, 2));
     assert!(values == [0.0; 4] && remarks[0].contains("outside of its display window"), "{remarks:?}");
     let attributes = ImageAttributes::new(IntegerBounds::new((0, 0), (40_000, 2)));
@@ -176,7 +176,7 @@ fn chromaticities_are_converted_to_rec_709() {
         assert!((f64::from(*value) - wanted.max(0.0)).abs() < 1e-3, "{converted:?}");
     }
     assert!(remarks.is_empty(), "{remarks:?}");
-    // Directions have no primaries, and points on a line span no colors.
+    // Normal maps have no primaries, and collinear primaries span no color space.
     assert_eq!(read(&bytes(of(rec2020)), Role::Normals), Ok(([-0.5, 0.0, 0.0], vec![])));
     let (same, remarks) = read(&bytes(of([(0.3, 0.3); 4])), Role::Color).unwrap();
     assert!(same == [0.25, 0.5, 0.5] && remarks[0].contains("span no colors"), "{remarks:?}");
@@ -197,7 +197,7 @@ fn deep_data_and_subsampled_channels_are_refused_by_their_names() {
     let mut deep = plain(&[("Y", 1.0)]);
     deep[5] |= 0x08;
     assert!(read(&deep, Role::Color).unwrap_err().contains("deep data"));
-    // RY with 2 x 2 pixels a value.
+    // RY has one value per 2 x 2 pixels.
     let mut chroma = plain(&[("BY", 1.0), ("RY", 1.0), ("Y", 1.0)]);
     let start = chroma.windows(3).position(|three| three == b"RY\0").unwrap() + 3 + 8;
     chroma[start..start + 8].copy_from_slice(&[2, 0, 0, 0, 2, 0, 0, 0]);

@@ -1,11 +1,11 @@
-//! Each segment of a JPEG that says what its values mean is used, or a remark names it.
+//! Tests that each JPEG segment that affects the values is used or named by a remark.
 
 use super::*;
 use crate::image::{exif, icc};
 
 const ORANGE: &[u8] = include_bytes!("../../../tests/files/orange.jpg");
 
-/// The file with a segment before all others.
+/// Returns the file with a segment before all others.
 fn with(marker: u8, data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u16 + 2).to_be_bytes();
     [&ORANGE[..2], &[0xff, marker], &length, data, &ORANGE[2..]].concat()
@@ -52,14 +52,14 @@ fn the_transform_of_adobes_segment_is_used() {
     let adobe = |transform: u8| with(0xee, &[&b"Adobe\0\x64\0\0\0\0"[..], &[transform]].concat());
     let pixel = |file: &[u8]| decode("t.jpg", file, Role::Normals, 0).unwrap().image.pixels[0];
     assert_eq!(pixel(&adobe(1)), pixel(ORANGE));
-    // Y, Cb, Cr of orange (255, 128, 0), as red, green and blue.
+    // Y, Cb, Cr of orange (255, 128, 0), read as red, green and blue.
     let [y, cb, cr] = pixel(&adobe(0)).map(|x| 127.5 * (x + 1.0));
     assert!((y - 151.0).abs() < 4.0 && (cb - 43.0).abs() < 4.0 && (cr - 202.0).abs() < 4.0, "{y} {cb} {cr}");
 }
 
 #[test]
 fn components_called_r_g_b_are_named() {
-    // The JFIF segment makes YCbCr sure; without it the names of the components say RGB.
+    // The JFIF segment implies YCbCr; without it, the names of the components imply RGB.
     let start = ORANGE.windows(2).position(|two| two == [0xff, 0xc0]).expect("a frame header");
     let mut file = ORANGE.to_vec();
     for (i, name) in b"RGB".iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Images that the tests write themselves.
+//! Tests of images, most of them written by the tests themselves.
 
 mod exr_header;
 mod jpeg_header;
@@ -54,7 +54,7 @@ fn srgb_becomes_linear_at_every_depth_with_and_without_alpha_and_palette() {
         let [r, g, b] = image.pixels[1];
         assert!(r == 0.0 && b == 1.0 && (g - 0.5029).abs() < 1e-4, "{color:?}: {:?}", image.pixels[1]);
     }
-    // Grey: with alpha, and of one bit, where a row's last byte has bits to spare.
+    // Gray: with alpha, and with one bit, where the last byte of a row has unused bits.
     let grey = png_of((1, 1), ColorType::GrayscaleAlpha, BitDepth::Eight, &[255, 0]);
     assert_eq!(decode("g.png", &grey, Role::Color, 0).unwrap().image.pixels, [[1.0; 3]]);
     let bits = png_of((3, 2), ColorType::Grayscale, BitDepth::One, &[0b0100_0000, 0b1010_0000]);
@@ -64,7 +64,7 @@ fn srgb_becomes_linear_at_every_depth_with_and_without_alpha_and_palette() {
 
 #[test]
 fn jpeg_is_read_in_color_and_in_grey() {
-    // 8 x 8 pixels of (255, 128, 0), and 5 x 3 of grey 188.
+    // 8 x 8 pixels of (255, 128, 0), and 5 x 3 of gray 188.
     let color = decode("t.jpg", include_bytes!("../../../tests/files/orange.jpg"), Role::Color, 0).unwrap().image;
     assert_eq!((color.width, color.height, color.pixels.len()), (8, 8, 64));
     let near = |pixel: &[f32; 3], wanted: [f32; 3]| (0..3).all(|i| (pixel[i] - wanted[i]).abs() < 0.03);
@@ -109,7 +109,7 @@ fn negative_values_are_taken_as_zero_and_infinite_ones_refused() {
 
 #[test]
 fn sizes_beyond_the_limit_are_refused_by_the_header() {
-    // A header that claims 40000 x 2 pixels, and nothing behind it.
+    // A header that claims 40000 x 2 pixels, without enough data.
     let mut png = png_of((4, 2), ::png::ColorType::Grayscale, ::png::BitDepth::Eight, &[1; 8]);
     png[16..20].copy_from_slice(&40_000u32.to_be_bytes());
     let checksum = crc32(&png[12..29]).to_be_bytes();

@@ -1,11 +1,11 @@
-//! Each chunk of a PNG that says what its values mean is used, or a remark names it.
+//! Tests that each PNG chunk that affects the values is used or named by a remark.
 
 use super::*;
 use crate::image::{exif, icc};
 use ::png::{BitDepth, ColorType};
 use femc_math::elementary::double::pow;
 
-/// A chunk by its kind and its data.
+/// A chunk: its kind and its data.
 type Chunk<'c> = (&'c [u8; 4], &'c [u8]);
 
 fn chunk((kind, data): Chunk<'_>) -> Vec<u8> {
@@ -13,18 +13,18 @@ fn chunk((kind, data): Chunk<'_>) -> Vec<u8> {
     [&(data.len() as u32).to_be_bytes()[..], &summed, &crc32(&summed).to_be_bytes()].concat()
 }
 
-/// The file with chunks after its header.
+/// Returns the file with chunks after its header.
 fn with(png: &[u8], chunks: &[Chunk<'_>]) -> Vec<u8> {
     let (head, tail) = png.split_at(33);
     [head, &chunks.iter().flat_map(|&it| chunk(it)).collect::<Vec<u8>>(), tail].concat()
 }
 
-/// A pixel of 16 bits a channel.
+/// Returns a file of one pixel with 16 bits per channel.
 fn pixel(rgb: [u16; 3]) -> Vec<u8> {
     png_of((1, 1), ColorType::Rgb, BitDepth::Sixteen, &rgb.map(u16::to_be_bytes).concat())
 }
 
-/// Green of the middle gray under these chunks, and the remarks.
+/// Returns the green value of middle gray with these chunks, and the remarks.
 fn gray_under(chunks: &[Chunk<'_>]) -> (f32, Vec<String>) {
     let decoded = decode("t.png", &with(&pixel([32_768; 3]), chunks), Role::Color, 0);
     let decoded = decoded.unwrap_or_else(|fault| panic!("{chunks:?}: {fault}"));
@@ -35,7 +35,7 @@ fn gamma(value: u32) -> [u8; 4] {
     value.to_be_bytes()
 }
 
-/// The data of cHRM: white, red, green, blue.
+/// Returns the data of cHRM: white, red, green, blue.
 fn chrm(xy: [f64; 8]) -> Vec<u8> {
     xy.iter().flat_map(|x| ((x * 1e5).round() as u32).to_be_bytes()).collect()
 }
@@ -43,10 +43,10 @@ fn chrm(xy: [f64; 8]) -> Vec<u8> {
 const REC709: [f64; 8] = [0.3127, 0.3290, 0.64, 0.33, 0.30, 0.60, 0.15, 0.06];
 const P3: [f64; 8] = [0.3127, 0.3290, 0.680, 0.320, 0.265, 0.690, 0.150, 0.060];
 const HALF: f64 = 32_768.0 / 65_535.0;
-/// The middle gray of sRGB.
+/// Middle gray of sRGB.
 const SRGB: f64 = 0.214_049;
 
-/// The data of iCCP. Its profile is stored without compression.
+/// Returns the data of iCCP. The profile is stored without compression.
 fn iccp(name: &str, profile: &[u8]) -> Vec<u8> {
     let length = profile.len() as u16;
     let (mut a, mut b) = (1u32, 0u32);
@@ -142,13 +142,13 @@ fn primaries_of_chunks_are_converted() {
             assert!((f64::from(value) - wanted).abs() < 3e-4, "{value} is not {wanted}");
         }
         assert!(remarks.is_empty(), "{remarks:?}");
-        // White stays white, and what is outside of Rec.709 is clipped and named.
+        // White stays white; colors outside Rec.709 are clipped and named.
         let (white, _) = decoded([65_535; 3], chunks);
         assert!(white.iter().all(|x| (x - 1.0).abs() < 1e-5), "{white:?}");
         let (green, remarks) = decoded([0, 65_535, 0], chunks);
         assert!(green[0] == 0.0 && green[1] > 1.0 && remarks[0].contains("outside Rec.709"), "{green:?} {remarks:?}");
     }
-    // Those of Rec.709 change no bit, and neither does the white of a gray image.
+    // The primaries of Rec.709 change no bit, and neither does the white point of a gray image.
     let plain = decoded([1000, 20_000, 65_535], &[]).0;
     assert_eq!(decoded([1000, 20_000, 65_535], &[(b"cHRM", &chrm(REC709))]), (plain, vec![]));
     let gray = with(&png_of((1, 1), ColorType::Grayscale, BitDepth::Eight, &[188]), &[(b"cHRM", &chrm(P3))]);
@@ -163,7 +163,7 @@ fn alpha_animation_and_orientation_are_named_where_they_matter() {
     assert!(remarks(&rgba(255), Role::Color).is_empty());
     for role in [Role::Color, Role::Normals] {
         assert!(remarks(&rgba(254), role)[0].contains("alpha is not used"));
-        // One transparent gray, which no pixel has, and which one has.
+        // A transparent gray level that no pixel has, and one that a pixel has.
         let gray = png_of((1, 1), ColorType::Grayscale, BitDepth::Eight, &[7]);
         assert!(remarks(&with(&gray, &[(b"tRNS", &[0, 8])]), role).is_empty());
         assert!(remarks(&with(&gray, &[(b"tRNS", &[0, 7])]), role)[0].contains("alpha is not used"));
@@ -173,7 +173,7 @@ fn alpha_animation_and_orientation_are_named_where_they_matter() {
         assert!(said[0].contains("animation is not used"), "{said:?}");
         let said = remarks(&with(&gray, &[(b"eXIf", &exif::tests::tiff(true, 8, 65_535))]), role);
         assert!(said.len() == 1 && said[0].contains("orientation 8"), "{said:?}");
-        // Chunks that change no value have no warning.
+        // Chunks that change no value give no warning.
         let harmless: &[Chunk<'_>] =
             &[(b"sBIT", &[5]), (b"pHYs", &[0, 0, 0, 1, 0, 0, 0, 2, 0]), (b"tEXt", b"a\0b"), (b"bKGD", &[0, 1])];
         assert!(remarks(&with(&gray, harmless), role).is_empty());

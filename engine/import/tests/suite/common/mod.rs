@@ -1,4 +1,4 @@
-//! Scenes in memory for tests.
+//! Helpers: scenes in memory.
 #![allow(dead_code, reason = "each test file uses its part")]
 
 use femc_import::{Bundle, ImportError, Loaded, load};
@@ -6,7 +6,7 @@ use femc_math::{Transform, glam::DVec3};
 use femc_scene::{GroupId, Motion, Scene, Shape};
 use std::collections::BTreeMap;
 
-/// Files by name; the first one is the scene.
+/// Returns a bundle of files by name; the first one is the scene.
 pub fn bundle(files: &[(&str, &str)]) -> Bundle {
     Bundle(files.iter().map(|(name, text)| ((*name).to_owned(), text.as_bytes().to_vec())).collect::<BTreeMap<_, _>>())
 }
@@ -19,7 +19,7 @@ pub fn try_scene(text: &str) -> Result<Loaded, ImportError> {
     try_files(&[("t.mgf", text)])
 }
 
-/// A scene without warnings.
+/// Imports a scene that must have no warnings.
 pub fn scene(text: &str) -> Scene {
     let loaded = try_scene(text).unwrap_or_else(|error| panic!("{error}"));
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
@@ -29,7 +29,7 @@ pub fn scene(text: &str) -> Scene {
 /// Four corners a, b, c, d of the unit square in the plane z = 0, counter-clockwise from above.
 pub const SQUARE: &str = "v a =\np 0 0 0\nv b =\np 1 0 0\nv c =\np 1 1 0\nv d =\np 0 1 0\n";
 
-/// All triangles in world coordinates (no paths), through all instances.
+/// Returns all triangles in world coordinates (no paths), through all instances.
 pub fn world_triangles(scene: &Scene) -> Vec<[DVec3; 3]> {
     let mut found = Vec::new();
     walk(scene, GroupId(0), Transform::IDENTITY, &mut |group, t| {
@@ -40,7 +40,7 @@ pub fn world_triangles(scene: &Scene) -> Vec<[DVec3; 3]> {
     found
 }
 
-/// Centers of all spheres in world coordinates (no paths), through all instances.
+/// Returns the centers of all spheres in world coordinates (no paths), through all instances.
 pub fn world_spheres(scene: &Scene) -> Vec<DVec3> {
     let mut found = Vec::new();
     walk(scene, GroupId(0), Transform::IDENTITY, &mut |group, t| {

@@ -1,4 +1,4 @@
-//! Small scenes built by hand.
+//! Small scenes for the tests.
 #![allow(dead_code)] // each test file uses some of these
 
 use femc_math::{
@@ -7,7 +7,7 @@ use femc_math::{
 };
 use femc_scene::*;
 
-/// A place on a line of the one source file.
+/// Returns a location on a line of the only source file.
 pub fn line(line: u32) -> Location {
     Location { file: 0, line, column: 0 }
 }
@@ -81,7 +81,7 @@ pub fn add_face(group: &mut Group, corners: &[[f64; 3]], material: u32, at: u32)
     });
 }
 
-/// Adds the six outward faces of an axis-parallel box on lines `at` to `at + 5`.
+/// Adds the six outward faces of an axis-aligned box on lines `at` to `at + 5`.
 pub fn add_box(group: &mut Group, [x0, y0, z0]: [f64; 3], [x1, y1, z1]: [f64; 3], material: u32, at: u32) {
     let faces = [
         [[x0, y0, z0], [x0, y1, z0], [x1, y1, z0], [x1, y0, z0]],
@@ -96,7 +96,7 @@ pub fn add_box(group: &mut Group, [x0, y0, z0]: [f64; 3], [x1, y1, z1]: [f64; 3]
     }
 }
 
-/// A scene without fault: a grey floor, a lamp above it, a camera.
+/// Returns a scene without faults: a gray floor, a lamp above it, a camera.
 pub fn lit_floor() -> Scene {
     let mut world = Group::default();
     add_face(&mut world, &[[-2.0, -2.0, 0.0], [2.0, -2.0, 0.0], [2.0, 2.0, 0.0], [-2.0, 2.0, 0.0]], 0, 10);

@@ -1,4 +1,4 @@
-//! Commas between numbers and within them.
+//! Tests of commas between numbers and within them.
 
 use super::*;
 
@@ -9,7 +9,7 @@ fn error(text: &str) -> String {
     read(text).map_or_else(|error| error.to_string(), |lamp| format!("read as {:?}", lamp.photometry.candela))
 }
 
-/// Places of all decimal points among the numbers.
+/// Returns the offsets of all decimal points among the numbers.
 fn points() -> Vec<usize> {
     let start = GOOD.find("INCLUDE").unwrap();
     GOOD.match_indices('.').map(|(at, _)| at).filter(|&at| at > start).collect()
@@ -49,7 +49,7 @@ fn decimal_commas_beside_lists_with_commas_are_named() {
     let numbers = "1 900,5 1,5 4 1 1 2 0 0 0\n0,95 1 20,5\n0,30,60,90\n0\n";
     let list = format!("TILT=NONE\n{numbers}1200,900,500,0\n");
     assert!(error(&list).starts_with("lamp.ies:2:3: `900,5`: decimal commas"), "{}", error(&list));
-    // The table is too short, too: the two lines above the angles say what is wrong first.
+    // The table is also too short, but the two lines above the angles already show the cause.
     let broken = format!("TILT=NONE\n{numbers}1200,900\n");
     assert!(error(&broken).starts_with("lamp.ies:2:3: `900,5`: decimal commas"), "{}", error(&broken));
 }

@@ -1,4 +1,4 @@
-//! Every field in every edition.
+//! Tests of every field in every edition.
 
 use super::{super::edition::Edition, super::opening::opening, *};
 
@@ -9,13 +9,13 @@ const FIELDS: [&str; 13] = ["1", "-1", "1", "3", "1", "1", "2", "0", "0", "0", "
 /// Effect of a value on a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Does {
-    /// Intensities are the file's times this.
+    /// Multiplies the intensities by this factor.
     Scales(f64),
-    /// Also with a warning.
+    /// Multiplies the intensities and gives a warning.
     Warns(f64),
-    /// Also with a note.
+    /// Multiplies the intensities and gives a note.
     Notes(f64),
-    /// An error.
+    /// Gives an error.
     Fails,
 }
 use Does::{Fails, Notes, Scales, Warns};
@@ -43,7 +43,7 @@ fn every_field_of_every_edition_counts_or_is_said() {
     let all = |does| [does; 5];
     let second = |old: Does, reserved: Does, code: Does| [old, old, reserved, reserved, code];
     let table: &[(usize, &str, [Does; 5])] = &[
-        // Number of lamps, lumens per lamp: for the reader.
+        // Number of lamps and lumens per lamp have no effect.
         (0, "4", all(Scales(1.0))),
         (0, "0", all(Warns(1.0))),
         (0, "1.5", all(Warns(1.0))),
@@ -80,7 +80,7 @@ fn every_field_of_every_edition_counts_or_is_said() {
         (10, ".9", all(Scales(0.9))),
         (10, "0", all(Fails)),
         (10, "-1", all(Fails)),
-        // The field that the editions differ in.
+        // The editions differ in this field.
         (11, "1.10000", second(Scales(1.1), Warns(1.0), Scales(1.0))),
         (11, "1.00001", second(Scales(1.00001), Warns(1.0), Scales(1.0))),
         (11, "1.111", second(Scales(1.111), Warns(1.0), Scales(1.0))),
@@ -89,7 +89,7 @@ fn every_field_of_every_edition_counts_or_is_said() {
         (11, "0", second(Warns(1.0), Warns(1.0), Notes(1.0))),
         (11, "-1", second(Fails, Warns(1.0), Notes(1.0))),
         (11, "x", all(Fails)),
-        // Input watts: for the reader.
+        // Input watts have no effect.
         (12, "0", all(Scales(1.0))),
         (12, "-5", all(Scales(1.0))),
         (12, "x", all(Fails)),
@@ -148,7 +148,7 @@ fn openings_follow_the_table_of_their_edition() {
     );
     let ball = |diameter| Opening::Sphere { diameter };
     let table = [
-        // Size, opening until 1995, since 2002, and whether each is said to be a stand-in.
+        // Size, opening until 1995, opening since 2002, each with whether a remark says that it is a substitute.
         ([0.0, 0.0, 0.0], (Opening::Point, false), (Opening::Point, false)),
         ([0.0, 0.0, 2.0], (Opening::Point, true), (Opening::Point, true)),
         ([2.0, 3.0, 0.0], (flat(2.0, 3.0, 0.0), false), (flat(2.0, 3.0, 0.0), false)),
@@ -182,7 +182,7 @@ fn openings_follow_the_table_of_their_edition() {
 
 #[test]
 fn a_file_of_1000_lumens_has_a_hint() {
-    // An even light of 1 cd has 4 pi lm.
+    // A uniform light of 1 cd has 4 pi lm.
     let even = |lumens: &str, multiplier: &str, candela: f64| {
         let text = format!(
             "IESNA91\nTILT=NONE\n1 {lumens} {multiplier} 2 1 1 2 0 0 0\n1 1 20\n0 180\n0\n{candela} {candela}\n"

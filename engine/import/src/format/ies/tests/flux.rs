@@ -1,10 +1,10 @@
-//! Flux of a lamp and the integral of its table.
+//! Tests that the flux of a lamp is the integral of its table.
 
 use super::{super::flux::lumens, *};
 use femc_emission::photometry::{IntensityDistribution, PhotometryKind};
 use proptest::prelude::*;
 
-/// Ascending angles from `first` to `last`; `inner` has the angles between them, in 256ths of the way.
+/// Returns ascending angles from `first` to `last`. `inner` has the angles in between, in 256ths of the span.
 fn list(first: f64, last: f64, inner: &[u8]) -> Vec<f64> {
     let mut angles: Vec<f64> = inner.iter().map(|&part| first + (last - first) * f64::from(part) / 256.0).collect();
     angles.extend([first, last]);

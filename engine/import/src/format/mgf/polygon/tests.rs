@@ -4,7 +4,7 @@ fn flat(points: &[[f64; 2]]) -> Vec<DVec3> {
     points.iter().map(|p| DVec3::new(p[0], p[1], 0.0)).collect()
 }
 
-/// Checks area and orientation of every triangle; returns how many there are.
+/// Triangulates, and checks area and orientation of every triangle. Returns the outcome and the triangles.
 fn triangulate(points: &[DVec3], holes: &[u32]) -> (Outcome, Vec<[u32; 3]>) {
     let mut triangulator = Triangulator::default();
     let outcome = triangulator.run(points, holes);
@@ -13,7 +13,7 @@ fn triangulate(points: &[DVec3], holes: &[u32]) -> (Outcome, Vec<[u32; 3]>) {
     for t in &triangulator.triangles {
         let [a, b, c] = t.map(|i| points[i as usize]);
         let area = 0.5 * (b - a).cross(c - a).dot(normal);
-        // Slivers along straight edges have the sign of the rounding of their corners.
+        // The sign of slivers along straight edges depends on the rounding of their corners.
         assert!(area > -1e-12 * outcome.area.length(), "triangle {t:?} is turned over");
         sum += area;
     }
@@ -44,7 +44,7 @@ fn a_comb_is_covered() {
 
 #[test]
 fn a_seam_makes_a_hole() {
-    // The spec's `f v1 v2 v3 v4 v5 v6 v7 v8 v5 v4`: outer square, seam v4 v5, inner square the other way round.
+    // The specification's `f v1 v2 v3 v4 v5 v6 v7 v8 v5 v4`: outer square, seam v4 v5, inner square in the opposite direction.
     let p = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [1.0, 3.0], [3.0, 3.0], [3.0, 1.0], [1.0, 1.0]];
     let seam = [p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[4], p[3]];
     let (outcome, triangles) = triangulate(&flat(&seam), &[]);
@@ -128,7 +128,7 @@ fn the_deviation_from_the_plane_is_measured() {
     assert!((0.02..0.1).contains(&deviation), "{deviation}");
 }
 
-/// A small generator in [0, 1) (a 64-bit linear congruence), fixed seed.
+/// A small random number generator in [0, 1) (a 64-bit linear congruence) with a fixed seed.
 struct Random(u64);
 
 impl Random {
@@ -138,7 +138,7 @@ impl Random {
     }
 }
 
-/// A star-shaped polygon around the origin, some edges with a vertex in the middle, turned into some plane.
+/// Returns a star-shaped polygon around the origin in a random plane; some edges have a vertex in the middle.
 fn random_polygon(random: &mut Random) -> Vec<DVec3> {
     let n = 3 + (random.next() * 30.0) as usize;
     let corners: Vec<[f64; 2]> = (0..n)

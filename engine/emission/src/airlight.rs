@@ -188,7 +188,7 @@ pub struct Airlight {
 }
 
 impl Airlight {
-    /// Computes the density-weighted mean of the step of `depth` between neighboring angles beyond 1.
+    /// Computes by how much the steps of `depth` between neighboring angles exceed 1: the mean of the excess over the distribution.
     #[inline]
     pub fn steepness(&self, depth: &[f32; WIDTH]) -> f32 {
         if depth[CELLS] - depth[0] <= 1.0 {

@@ -22,7 +22,7 @@ pub enum Profile {
     Lambertian,
     /// `emittance (n + 2) / (2 pi) cos^n`, which has the same emittance.
     Lobe {
-        /// n >= 0.
+        /// Exponent n >= 0.
         exponent: f32,
     },
 }

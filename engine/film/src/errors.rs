@@ -6,8 +6,8 @@
 //!
 //! The bound adds caution where an estimate is not enough. A variance estimated from few pixels, or from many of which a few have
 //! most of it, is itself uncertain, so a multiple of its own standard error is added. Rare light may not have been sampled yet, so
-//! the bound is at least the effect of three events as bright as the brightest sample. At 95 % confidence, not more than three
-//! events (in the mean) remain unseen.
+//! the bound is at least the effect of three events as bright as the brightest sample. If no such
+//! event was seen, their mean number is at most three, at 95 % confidence.
 //!
 //! Blocks begin at each tile's corner. If the tile edge is a multiple of 16, they are those of [`FrameImage::error`]
 //! (`the_error_of_the_tiles_is_the_error_of_the_image`). The binary format:

@@ -37,8 +37,8 @@ pub(crate) struct Pixel {
 
 impl PixelSums {
     /// Computes means and the variance of the mean; zero without samples.
-    /// - `is_held`: whether a half of the tile is held. If so, each half has the weight 1/2, because its count depends on its
-    ///   samples; otherwise every good sample has the same weight.
+    /// - `is_held`: whether a half of the tile is held. If so, each half has the weight 1/2, because the counts depend on the
+    ///   sample values; otherwise every good sample has the same weight.
     pub(crate) fn resolve(&self, is_held: bool) -> Pixel {
         let samples = self.samples();
         let mut pixel = Pixel { samples: self.counted(), ..Pixel::default() };

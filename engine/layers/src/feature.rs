@@ -14,7 +14,7 @@ pub enum Feature {
     Depth,
     /// Fraction of the light that the surface scatters, by color channel.
     Albedo,
-    /// Motion from the pixel position now to the position in the next frame, pixels, x to the right and y down.
+    /// Motion from the position in the picture to the position in the next frame, pixels, x to the right and y down.
     Motion,
     /// Name of the innermost object that contains the surface.
     Object,

@@ -99,14 +99,14 @@ impl<const FRACTION: u32> ExactSum<FRACTION> {
         self.0 = self.0.saturating_add(units);
     }
 
-    /// Adds `term`, rounded once. An error leaves the sum as it was; the caller counts it.
+    /// Adds `term`, rounded once. An error leaves the sum unchanged; the caller counts it.
     #[inline]
     pub fn add(&mut self, term: f64) -> Result<(), Refused> {
         self.0 = self.0.saturating_add(Self::quantize(term)?);
         Ok(())
     }
 
-    /// Adds `term`, rounded once. An error leaves the sum unchanged; the caller counts it.
+    /// Adds all terms of `other`.
     #[inline]
     pub fn merge(&mut self, other: Self) {
         self.0 = self.0.saturating_add(other.0);

@@ -1,8 +1,8 @@
 //! Painted light: a picture of a target scene in the style of a painted example, guided by light (\[fiser2016\]).
 //!
 //! The example has two parts. The **guides** of the source are a rendering of a source scene and layers of its light. The **style**
-//! is a painting of this rendering, pixel on pixel. Given guides of a target, [`stylize`] searches a source patch for each target
-//! patch, so that guides are alike and neighboring patches agree in what they paint:
+//! is a painting of this rendering, pixel on pixel. Given guides of a target, [`stylize`] finds a source patch for each target
+//! patch such that guides are alike and neighboring patches agree in what they paint:
 //!
 //! ```text
 //! E(p, q) = |A'(p) - B'(q)|^2 + mu |A(p) - B(q)|^2      A: guides of the source, A': style, p: a source patch

@@ -28,7 +28,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 pub use torus::Torus;
 pub use triangle::Triangle;
 
-/// Whether a light's samples have a density.
+/// Kind of a light's samples: with a density, or of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeltaKind {
     /// An ordinary sample.
@@ -40,7 +40,7 @@ pub enum DeltaKind {
 /// A point on a light as seen from a reference point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightSample {
-    /// Unit, from the reference to the light.
+    /// Direction from the reference to the light, unit.
     pub dir: Vec3A,
     /// Distance, m.
     pub distance: f32,

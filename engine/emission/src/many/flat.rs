@@ -70,7 +70,7 @@ pub struct Flat {
     level: Level,
 }
 
-/// Weights of the lights for one receiver.
+/// Weights of the lights for one place.
 #[derive(Clone, Debug)]
 pub struct Weights {
     lanes: [Lanes; MOST / WIDTH],
@@ -172,7 +172,7 @@ impl Flat {
     }
 }
 
-/// A receiver that weights lights.
+/// A place that computes the weights of lights.
 pub trait Weigh {
     /// Returns the weights of eight lights, >= 0; 0 only if a light can send nothing. `#[inline(always)]`.
     fn weigh<S: Simd>(&self, simd: S, lights: &Seen<S>) -> S::V;

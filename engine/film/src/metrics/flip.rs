@@ -1,10 +1,10 @@
 //! HDR-FLIP: the difference that a viewer sees when two images alternate, over all relevant exposures.
 //!
-//! The published algorithm (\[andersson2020\], \[andersson2021\]) with its constants. Both images are shown at a range of exposures
-//! through the ACES curve (\[narkowicz2016\]). The range ends at the exposures where the reference's brightest pixel and its median
-//! reach near white. For each exposure LDR-FLIP is computed: contrast-sensitivity filtering in an opponent space, the HyAB distance
-//! in Hunt-adjusted L*a*b*, and the difference of edges and points. A pixel's error is its largest over the exposures. The viewer
-//! is at 67 pixels per degree: 0.7 m from a 0.7 m wide screen of 3840 pixels.
+//! This is the published algorithm (\[andersson2020\], \[andersson2021\]) with its constants. Both images are shown at a range of
+//! exposures through the ACES curve (\[narkowicz2016\]). At one end of the range, the reference's brightest pixel is nearly white;
+//! at the other end, its median is. For each exposure LDR-FLIP is computed: contrast-sensitivity filtering in an opponent space,
+//! the HyAB distance in Hunt-adjusted L*a*b*, and the difference of edges and points. A pixel's error is its largest over the
+//! exposures. The viewer is at 67 pixels per degree: 0.7 m from a 0.7 m wide screen of 3840 pixels.
 
 use super::plane::Plane;
 use crate::Image;

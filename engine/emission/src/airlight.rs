@@ -1,65 +1,68 @@
-//! Distances along a ray in fog by the light of one source that is scattered there (airlight).
+//! Distance sampling along a ray in fog, in proportion to the light of one source that is scattered there (airlight).
 //!
-//! Over the angle theta that a stretch of the ray subtends at the source, the light that is scattered is transmittance to eye and source, phase
-//! function and profile of the source (\[kulla2012\]): smooth. The angle is cut into equal cells. Between its ends a cell is walked along the
-//! chord of their directions, so that a place is a quotient of two linear functions, and the density over the chord joins its values at
-//! the ends by a straight line: nothing but arithmetic is needed to draw a distance or to tell its density.
+//! The distribution uses the angle theta at the source, which a ray segment subtends. As a function of theta, the scattered light
+//! is smooth: it is the product of the transmittance to eye and source, the phase function and the profile of the source
+//! (\[kulla2012\]). The angle is divided into equal cells. Within a cell, directions follow the chord between the directions at its
+//! ends, so a position is a quotient of two linear functions. The density over the chord interpolates linearly between its values
+//! at the ends. Sampling a distance and evaluating its density therefore need only basic arithmetic.
 
 use crate::many::approx::{arc_tangent, attenuation, narrowing, sine_cosine};
 use crate::tree::Node;
 use femc_math::glam::Vec3A;
 use femc_simd::{Lanes, Level, Simd, Task, Vector, WIDTH};
 
-/// Between the angles that are looked at.
+/// Number of cells between the evaluated angles.
 const CELLS: usize = WIDTH - 1;
-/// Every angle has at least this share of the mean density: what the lines miss is found all the same.
+/// Term that is added to every relative density, as a fraction of the mean, so that light between the evaluated angles is still
+/// sampled.
 const FLOOR: f32 = 0.05;
-/// Cosines are trusted up to this much.
+/// Tolerance of cosines.
 const SLACK: f32 = 1e-3;
 
-/// A stretch of a ray and a source beside it.
+/// A segment of a ray and a source beside it.
 #[derive(Clone, Copy, Debug)]
 pub struct Beside {
-    /// From the source to the nearest point of the ray's line, m.
+    /// Vector from the source to the nearest point of the ray's line, m.
     foot: Vec3A,
     dir: Vec3A,
-    /// Distance of the source from the line, as far as it counts, m.
+    /// Distance of the source from the line, with a lower bound, m.
     h: f32,
-    /// Coordinate of the stretch's start from the foot, m.
+    /// Coordinate of the segment's start relative to the foot, m.
     start: f32,
-    /// Distances of the angles' directions from the start, m, and the cosines of the angles.
+    /// Distances from the start at the evaluated angles, m, and the cosines of these angles.
     distances: [f32; WIDTH],
     cosines: [f32; WIDTH],
 }
 
-/// What fog and source do along the ray, at the distances of [`Beside::distances`].
+/// Properties of fog and source along the ray, at the distances of [`Beside::distances`].
 #[derive(Clone, Copy, Debug)]
 pub struct Along {
     /// Optical depth from the eye.
     pub depth: [f32; WIDTH],
     /// Scattering coefficient, in any unit.
     pub scattering: [f32; WIDTH],
-    /// Extinction on the way to the source, 1/m.
+    /// Extinction between the ray and the source, 1/m.
     pub haze: f32,
     /// Schlick's parameter of the phase function (\[blasi1993\]).
     pub phase: f32,
 }
 
-/// How much a source sends to the places of a ray.
+/// Angular profile of a source as seen from the ray.
 #[derive(Clone, Copy, Debug)]
 pub enum Source<'a> {
-    /// By the bounds that a tree knows.
+    /// Profile from the bounds in a light tree's node.
     Bounds(&'a Node),
-    /// As given, by distance.
+    /// Given values, by distance.
     Given(&'a [f32; WIDTH]),
 }
 
 impl Beside {
-    /// - `origin`, m; `dir`: unit; `range`: first and last distance of the stretch, m, finite; `center`: of the source, m.
-    /// - `least_distance`: the source is treated as no nearer to the ray than this, m, > 0.
+    /// Prepares a segment for a source.
+    /// - `origin`, m; `dir`: unit; `range`: first and last distance of the segment, m, finite; `center`: of the source, m.
+    /// - `least_distance`: lower bound for the distance between source and ray, m, > 0.
     #[inline]
     pub fn new(level: Level, origin: Vec3A, dir: Vec3A, range: (f32, f32), center: Vec3A, least_distance: f32) -> Self {
-        // The nearest point of the line is rounded as coordinates are. No peak is made narrower than this error.
+        // The nearest point of the line has the rounding error of the coordinates. No peak is made narrower than this error.
         let from = origin - center;
         let along = from.dot(dir);
         let foot = from - dir * along;
@@ -70,18 +73,18 @@ impl Beside {
         Self { foot, dir, h, start, distances, cosines }
     }
 
-    /// Distances from the stretch's start at even steps of the angle, both ends among them, m.
+    /// Returns the distances from the segment's start at even steps of the angle, including both ends, m.
     #[inline]
     pub fn distances(&self) -> [f32; WIDTH] {
         self.distances
     }
 
-    /// Directions from the source to the places at these distances, unit.
+    /// Returns the directions from the source to the points at these distances, unit.
     pub fn directions(&self) -> [Vec3A; WIDTH] {
         self.distances.map(|t| (self.foot + self.dir * (self.start + t)).normalize_or(self.dir))
     }
 
-    /// The distribution of distances.
+    /// Returns the distribution of distances.
     #[inline]
     pub fn airlight(self, level: Level, along: &Along, source: Source<'_>) -> Airlight {
         let (values, total) = level.run(Values { beside: &self, along, source });
@@ -89,7 +92,7 @@ impl Beside {
     }
 }
 
-/// Distances from the start at even steps of the angle, and the cosines of the angles.
+/// Task that computes the distances from the start at even steps of the angle, and the cosines of the angles.
 struct Angles {
     h: f32,
     start: f32,
@@ -110,11 +113,11 @@ impl Task for Angles {
         let tangent = h * length * to_a * to_b / (1.0 + (h * h + a * b) * to_a * to_b).max(1e-7);
         let half = arc_tangent(simd, c(tangent.max(0.0)));
         let step = simd.load(&Lanes([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]));
-        // A quarter of it, twice doubled.
+        // A quarter of the angle, doubled twice.
         let (s, k) = sine_cosine(simd, step * half * c(1.0 / (2 * CELLS) as f32));
         let (s, k) = (c(2.0) * s * k, c(1.0) - c(2.0) * s * s);
         let (s, k) = (c(2.0) * s * k, c(1.0) - c(2.0) * s * s);
-        // Written from the start, so that nothing cancels for sources far beside, before or behind.
+        // Computed from the start, so that nothing cancels for sources far beside, before or behind the segment.
         let left = (c(h) * k - c(a) * s).max(c(f32::MIN_POSITIVE));
         let mut distances = (s * c(square_a) / left).max(c(0.0)).min(c(length)).lanes().0;
         let mut cosines = (left * c(to_a)).max(c(1e-9)).lanes().0;
@@ -124,7 +127,7 @@ impl Task for Angles {
     }
 }
 
-/// Relative densities at the angles, and the sum of the cells.
+/// Task that computes the relative densities at the angles, and the sum of the cells.
 struct Values<'a> {
     beside: &'a Beside,
     along: &'a Along,
@@ -143,7 +146,7 @@ impl Task for Values<'_> {
         let distance = (c(h * h) + place * place).sqrt();
         let inverse = one / distance;
         let depth = simd.load(&Lanes(self.along.depth)) + c(self.along.haze) * distance;
-        // Where all is far, what is least far counts.
+        // Depths are relative to the least depth, so that not every value vanishes in thick fog.
         let least = depth.lanes().0.into_iter().fold(f32::INFINITY, f32::min);
         let dimmed = attenuation(simd, (depth - c(least)).max(c(0.0)));
         let lobe = one / (one + c(self.along.phase) * place * inverse);
@@ -162,7 +165,7 @@ impl Task for Values<'_> {
         let value = simd.load(&Lanes(self.along.scattering)) * dimmed * lobe * lobe * profile;
         let mut values = value.max(c(0.0)).min(c(1e30)).lanes().0;
         let mean = values.iter().sum::<f32>() * (1.0 / WIDTH as f32);
-        // In units of the mean: squares of what is tiny would vanish.
+        // Values are scaled by the mean, because squares of tiny values would underflow.
         let scale = if mean > f32::MIN_POSITIVE { 1.0 / mean } else { 0.0 };
         for value in &mut values {
             *value = *value * scale + FLOOR;
@@ -172,20 +175,20 @@ impl Task for Values<'_> {
     }
 }
 
-/// Distances along a ray by the light of a source that is scattered there.
+/// Distribution of distances along a ray, in proportion to the light of a source that is scattered there.
 #[derive(Clone, Copy, Debug)]
 pub struct Airlight {
-    /// Distances of the cells' ends from the stretch's start, m, and the cosines of their angles.
+    /// Distances of the cells' ends from the segment's start, m, and the cosines of their angles.
     distances: [f32; WIDTH],
     cosines: [f32; WIDTH],
-    /// Relative densities over the chords there.
+    /// Relative densities over the chords at the cells' ends.
     values: [f32; WIDTH],
     /// Sum of the cells.
     total: f32,
 }
 
 impl Airlight {
-    /// By how much more than 1 a depth, given at the angles, changes from one to the next, on average.
+    /// Computes by how much the steps of `depth` between neighboring angles exceed 1: the mean of the excess over the distribution.
     #[inline]
     pub fn steepness(&self, depth: &[f32; WIDTH]) -> f32 {
         if depth[CELLS] - depth[0] <= 1.0 {
@@ -198,7 +201,7 @@ impl Airlight {
         (0..CELLS).map(excess).sum::<f32>() / self.total
     }
 
-    /// A distance from the stretch's start, m, from `u` in [0, 1). [`Self::pdf`] is its density.
+    /// Samples a distance from the segment's start, m, from `u` in [0, 1), with density [`Self::pdf`].
     #[inline]
     pub fn sample(&self, u: f32) -> f32 {
         let mut rest = u * self.total;
@@ -218,7 +221,7 @@ impl Airlight {
         low + (high - low) * (b / (a + b))
     }
 
-    /// Density at distance `t` from the stretch's start, 1/m; 0 outside the stretch.
+    /// Returns the density at distance `t` from the segment's start, 1/m; 0 outside the segment.
     #[inline]
     pub fn pdf(&self, t: f32) -> f32 {
         if t < 0.0 || t > self.distances[CELLS] {
@@ -232,7 +235,7 @@ impl Airlight {
         let (a, b) = (self.cosines[cell], self.cosines[cell + 1]);
         let (before, after) = ((t - low).max(0.0) * a, (high - t).max(0.0) * b);
         let sum = before + after;
-        // The distance is `low + (high - low) b x / (a (1 - x) + b x)` for x of the chord.
+        // The distance is `low + (high - low) b x / (a (1 - x) + b x)` for position x on the chord.
         let within = before / sum;
         let mixed = a * (1.0 - within) + b * within;
         let slope = a * b * (high - low) / (mixed * mixed);
@@ -250,7 +253,7 @@ mod tests {
     use femc_math::hash::{combine, unit_f32};
     use femc_stats::testing::{chi2::pooled_test, sidak};
 
-    /// Length of a stretch, the source's coordinates along and beside the ray, extinction, phase parameter.
+    /// Length of a segment, the source's coordinates along and beside the ray, extinction, phase parameter.
     const CASES: [(f32, f32, f32, f32, f32); 12] = [
         (10.0, 4.0, 1.0, 0.0, 0.0),
         (10.0, 4.0, 1e-3, 0.1, 0.0),
@@ -285,7 +288,7 @@ mod tests {
         it.airlight(level, &along, Source::Bounds(&node))
     }
 
-    /// Share of the distances up to `t`, by the trapezoidal rule over the density in each cell, at places even on its chord.
+    /// Integrates the density up to `t` by the midpoint rule in each cell, at even positions on its chord.
     fn share(airlight: &Airlight, t: f64) -> f64 {
         let mut sum = 0.0;
         for cell in 0..CELLS {
@@ -313,7 +316,7 @@ mod tests {
             let length = f64::from(described.0);
             let whole = share(&airlight, length);
             assert!((whole - 1.0).abs() < 3e-3, "{described:?}: {whole}");
-            // Borders at quantiles of what is drawn by even numbers.
+            // Bin borders at quantiles, found by sampling with even numbers.
             let cells = if described.2 < 1e-4 * described.1.abs() { 6u32 } else { 20 };
             let border = |i: u32| f64::from(airlight.sample(i as f32 / cells as f32));
             let borders: Vec<f64> = (1..cells).map(border).collect();

@@ -1,4 +1,4 @@
-//! How an emitter's radiance depends on direction.
+//! Radiance of an emitter as a function of direction.
 
 use femc_math::color::luminance;
 use femc_math::{Rgb, elementary};
@@ -7,7 +7,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 /// Sides of a surface that emit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sides {
-    /// The front only; rays from behind pass the surface.
+    /// The front only; rays from behind pass through the surface.
     One,
     /// Both sides, each with the full emittance.
     #[default]
@@ -20,9 +20,9 @@ pub enum Profile {
     /// `emittance / pi` for every direction.
     #[default]
     Lambertian,
-    /// `emittance (n + 2) / (2 pi) cos^n`; the emittance is the same.
+    /// `emittance (n + 2) / (2 pi) cos^n`, which has the same emittance.
     Lobe {
-        /// n >= 0.
+        /// Exponent n >= 0.
         exponent: f32,
     },
 }
@@ -39,7 +39,7 @@ pub struct Emission {
 }
 
 impl Emission {
-    /// Radiance (cd/m2) leaving at cosine `cos` with the front normal.
+    /// Returns the radiance (cd/m2) that leaves at cosine `cos` with the front normal.
     #[inline]
     pub fn radiance(&self, cos: f32) -> Rgb {
         if cos == 0.0 || (cos < 0.0 && self.sides == Sides::One) {
@@ -53,13 +53,13 @@ impl Emission {
         }
     }
 
-    /// Whether nothing leaves at cosine `cos` with the front normal.
+    /// Checks whether nothing leaves at cosine `cos` with the front normal.
     #[inline]
     pub fn is_dark(&self, cos: f64) -> bool {
         cos == 0.0 || (cos < 0.0 && self.sides == Sides::One)
     }
 
-    /// Luminous flux (lm) of `area` m2.
+    /// Returns the luminous flux (lm) of `area` m2.
     pub fn power(&self, area: f64) -> f32 {
         let sides = match self.sides {
             Sides::One => 1.0,

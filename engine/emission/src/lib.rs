@@ -1,8 +1,8 @@
 //! Light sources: sampling, densities, power, photometric files and the choice among many lights.
 //!
-//! Everything is in one common frame, f32 at the edges and f64 inside wherever far, tiny or grazing lights need it. A
-//! reference point may lie on a surface or in a medium: no normal is asked for. The crate knows nothing of scenes.
-//! Visibility is the caller's business.
+//! Everything is in one common frame, with f32 in the interfaces and f64 inside wherever far, tiny or grazing lights need it. A
+//! reference point may lie on a surface or in a medium, so no normal is needed. The crate does not depend on scenes. The caller
+//! checks visibility.
 #![deny(missing_docs)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests compute what they expect apart from the engine"))]
 

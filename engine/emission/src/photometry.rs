@@ -6,9 +6,9 @@
 //!   clockwise, that is toward -y.
 //! - Type A: planes share the vertical axis: `v` is the elevation (-90 nadir), `h` the azimuth from +x, clockwise.
 //!
-//! Bilinear in the angles. Half tables are expanded: type C by quadrants (0..90), halves (0..180 or 90..270) or not at all
-//! (a full turn, also one whose last plane 360 is left out), a single plane is rotationally symmetric; types A and B that
-//! start at 0 are mirrored in `h`. Directions beyond the tabulated angles have no intensity.
+//! Values are interpolated bilinearly in the angles. Partial tables are expanded. Type C tables have quadrants (0..90), halves
+//! (0..180 or 90..270) or a full turn, of which the last plane 360 may be missing. A single plane is rotationally symmetric. Types
+//! A and B that start at 0 are mirrored in `h`. Directions beyond the tabulated angles have no intensity.
 
 use femc_math::elementary;
 use femc_math::elementary::double;
@@ -26,7 +26,7 @@ pub enum PhotometryKind {
     C,
 }
 
-/// Why a table is not a distribution.
+/// Reason why a table is not a distribution.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PhotometryError {
     /// A list of angles is empty, not finite or not strictly ascending.
@@ -38,27 +38,27 @@ pub enum PhotometryError {
     /// The number of candela values is not the product of the numbers of angles.
     #[error("{found} candela values for {vertical} vertical and {horizontal} horizontal angles")]
     Count {
-        /// Values given.
+        /// Number of given values.
         found: usize,
-        /// Vertical angles.
+        /// Number of vertical angles.
         vertical: usize,
-        /// Horizontal angles.
+        /// Number of horizontal angles.
         horizontal: usize,
     },
     /// A value is negative or not finite.
     #[error("candela value {index} is negative or not finite")]
     Candela {
-        /// Its index.
+        /// Index of the value.
         index: usize,
     },
 }
 
-/// How the horizontal angle of a direction is brought into the table.
+/// Symmetry that maps the horizontal angle of a direction into the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Symmetry {
-    /// One plane for all.
+    /// One plane for all angles.
     Rotational,
-    /// 0..90 of 360.
+    /// 0..90 of 360: mirror images in all four quadrants.
     Quadrants,
     /// 0..180: mirror image about the plane 0-180.
     Across0,
@@ -68,7 +68,7 @@ enum Symmetry {
     Full,
     /// Types A and B from 0: mirror image about 0.
     Mirrored,
-    /// Types A and B with both signs.
+    /// Types A and B with angles of both signs.
     Signed,
 }
 
@@ -77,19 +77,20 @@ enum Symmetry {
 pub struct IntensityDistribution {
     kind: PhotometryKind,
     symmetry: Symmetry,
-    /// Degrees, strictly ascending.
+    /// Vertical angles, degrees, strictly ascending.
     vertical: Vec<f32>,
-    /// Degrees, strictly ascending; with 360 appended to a full turn that lacks it.
+    /// Horizontal angles, degrees, strictly ascending; 360 is appended to a full turn without it.
     horizontal: Vec<f32>,
-    /// cd; `candela[h * vertical.len() + v]`.
+    /// Intensities, cd; `candela[h * vertical.len() + v]`.
     candela: Vec<f32>,
     flux: f64,
 }
 
-/// Slack in degrees at the ends of the tabulated ranges.
+/// Tolerance in degrees at the ends of the tabulated ranges.
 const SLACK: f32 = 1e-3;
 
 impl IntensityDistribution {
+    /// Creates the distribution from a table.
     /// - angles in degrees; `candela[h * vertical.len() + v]` in cd, all multipliers applied.
     pub fn new(
         kind: PhotometryKind,
@@ -123,7 +124,7 @@ impl IntensityDistribution {
         Ok(table)
     }
 
-    /// Luminous intensity, cd, in direction `dir` (unit, luminaire frame, away from the luminaire).
+    /// Returns the luminous intensity, cd, in direction `dir` (unit, luminaire frame, away from the luminaire).
     pub fn intensity(&self, dir: Vec3A) -> f32 {
         let across = elementary::hypot(dir.x, dir.y);
         let (v, h) = match self.kind {
@@ -137,17 +138,17 @@ impl IntensityDistribution {
         self.at(v.to_degrees(), h.to_degrees())
     }
 
-    /// Total luminous flux, lm, of the tabulated function itself.
+    /// Returns the total luminous flux, lm, of the tabulated function itself.
     pub fn flux(&self) -> f64 {
         self.flux
     }
 
-    /// Largest tabulated intensity, cd.
+    /// Returns the largest tabulated intensity, cd.
     pub fn peak(&self) -> f32 {
         self.candela.iter().copied().fold(0.0, f32::max)
     }
 
-    /// Value at angles in degrees (`v` in the kind's own range, `h` in -180..180).
+    /// Returns the value at angles in degrees (`v` in the kind's own range, `h` in -180..180).
     fn at(&self, v: f32, h: f32) -> f32 {
         let Some((v0, v1, tv)) = locate(&self.vertical, v) else { return 0.0 };
         let turned = if h < 0.0 { h + 360.0 } else { h };
@@ -165,7 +166,7 @@ impl IntensityDistribution {
             Symmetry::Mirrored => h.abs(),
             Symmetry::Signed => h,
         };
-        // Type C tables that stop short of their symmetry's end go on with their last plane.
+        // Type C tables that end before their symmetry does continue with their last plane.
         let h = match self.kind {
             PhotometryKind::C => h.clamp(self.horizontal[0], self.horizontal[self.horizontal.len() - 1]),
             PhotometryKind::A | PhotometryKind::B if self.horizontal.len() == 1 => self.horizontal[0],
@@ -181,9 +182,10 @@ impl IntensityDistribution {
         a + (b - a) * th
     }
 
-    /// Flux by midpoints: 2 degrees at most in the angle about the axis, quarters of every table interval in the other.
+    /// Integrates the flux by midpoints: steps of at most 2 degrees in the angle about the axis, quarters of every table interval
+    /// in the other.
     fn integrate(&self) -> f64 {
-        // The polar angle of B is h, of A and C it is v; the weight of a band is its share of the sphere.
+        // The polar angle of B is h, and that of A and C is v; the weight of a band is its share of the sphere.
         let (polar, about) = match self.kind {
             PhotometryKind::B => (&self.horizontal, &self.vertical),
             PhotometryKind::A | PhotometryKind::C => (&self.vertical, &self.horizontal),
@@ -250,7 +252,7 @@ fn symmetry(kind: PhotometryKind, horizontal: &[f64]) -> Symmetry {
     }
 }
 
-/// Neighbours of `x` in `table` and the fraction between them; `None` beyond the ends.
+/// Returns the neighbors of `x` in `table` and the fraction between them; `None` beyond the ends.
 fn locate(table: &[f32], x: f32) -> Option<(usize, usize, f32)> {
     let last = table.len() - 1;
     if x < table[0] - SLACK || x > table[last] + SLACK {
@@ -264,7 +266,7 @@ fn locate(table: &[f32], x: f32) -> Option<(usize, usize, f32)> {
     })
 }
 
-/// The intervals between neighbours, each cut into at least `parts` and into pieces no wider than `width`.
+/// Returns the intervals between neighbors, each cut into at least `parts` pieces and into pieces no wider than `width`.
 fn subdivide(nodes: &[f32], parts: u32, width: f64) -> Vec<(f64, f64)> {
     let mut pieces = Vec::new();
     for w in nodes.windows(2) {
@@ -276,7 +278,8 @@ fn subdivide(nodes: &[f32], parts: u32, width: f64) -> Vec<(f64, f64)> {
     pieces
 }
 
-/// Unit direction, luminaire frame, of the angles (degrees) of a photometric `kind`: the inverse of the tables' convention.
+/// Returns the unit direction, luminaire frame, of the angles (degrees) of a photometric `kind`: the inverse of the tables'
+/// convention.
 pub fn direction(kind: PhotometryKind, vertical: f64, horizontal: f64) -> DVec3 {
     let (sv, cv) = double::sin_cos(vertical.to_radians());
     let (sh, ch) = double::sin_cos(horizontal.to_radians());

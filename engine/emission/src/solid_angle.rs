@@ -1,28 +1,29 @@
 //! Triangles and rectangles seen from a point: solid angle, and uniform points over it.
 //!
-//! Double precision, with the reference point already subtracted. One arc tangent gives the solid angle; sines and cosines
-//! of the spherical angles come from the edges' plane normals, so that a sample costs one sine-cosine more.
+//! Computations use double precision, with the reference point already subtracted. One arc tangent gives the solid angle. Sines and
+//! cosines of the spherical angles come from the edges' plane normals, so a sample costs only one more sine-cosine.
 
 use femc_math::elementary::double::{atan2, sin_cos};
 use femc_math::glam::DVec3;
 use std::f64::consts::TAU;
 
-/// Solid angle below which points are drawn by area: the integrand is flat over so small a light.
+/// Solid angle below which points are sampled by area: the integrand is flat over such a small light.
 pub const SMALLEST: f64 = 1e-8;
-/// Square of (radius / distance) below which a light counts as far: the density over solid angle of a point drawn by area
-/// then varies little, and drawing by area costs a tenth.
+/// Square of (radius / distance) below which a light counts as far. The density over solid angle of a point sampled by area then
+/// varies little, and sampling by area costs a tenth.
 const FAR: f64 = 0.05;
 
-/// Whether a flat light is far: `center` is its middle relative to the reference, `reach2` the square of its radius about it.
+/// Checks whether a flat light is far: `center` is its middle relative to the reference, `reach2` the square of its radius about
+/// it.
 #[inline]
 pub fn is_far(center: DVec3, reach2: f64) -> bool {
     reach2 < FAR * center.length_squared()
 }
 
-/// Solid angle above which directions are drawn over the hemisphere and tested: the spherical angles degenerate toward 2 pi.
+/// Solid angle above which directions are sampled over the hemisphere and tested: the spherical angles degenerate toward 2 pi.
 pub const LARGEST: f64 = 6.2;
 
-/// How points of a flat light are drawn from one reference point; `sample` and `pdf` both ask for it.
+/// Sampling strategy for points of a flat light from one reference point, shared by `sample` and `pdf`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Strategy {
     /// Uniform over this solid angle, sr.
@@ -36,7 +37,7 @@ pub enum Strategy {
 }
 
 impl Strategy {
-    /// The decision for a `solid_angle`.
+    /// Returns the strategy for a `solid_angle`.
     #[inline]
     pub fn of(solid_angle: f64) -> Self {
         if solid_angle >= LARGEST {
@@ -51,8 +52,8 @@ impl Strategy {
     }
 }
 
-/// Solid angle, sr in [0, 2 pi], of the triangle with vertices `a`, `a + e1`, `a + e2` seen from the origin (\[vanoosterom1983\]).
-/// `cross` is `e1 x e2`: the volume is formed from it, not from three near-parallel vertex vectors.
+/// Computes the solid angle, sr in [0, 2 pi], of the triangle with vertices `a`, `a + e1`, `a + e2` seen from the origin
+/// (\[vanoosterom1983\]). `cross` is `e1 x e2`; the volume is computed from it, and not from three nearly parallel vertex vectors.
 #[inline]
 pub fn triangle(a: DVec3, e1: DVec3, e2: DVec3, cross: DVec3) -> f64 {
     let (b, c) = (a + e1, a + e2);
@@ -61,11 +62,11 @@ pub fn triangle(a: DVec3, e1: DVec3, e2: DVec3, cross: DVec3) -> f64 {
     2.0 * atan2(a.dot(cross).abs(), denominator)
 }
 
-/// A direction uniform over the spherical triangle of `solid_angle` sr with the vertices `a`, `b`, `c` (\[arvo1995\]).
-/// `None` where the triangle is degenerate.
+/// Samples a direction uniformly over the spherical triangle of `solid_angle` sr with the vertices `a`, `b`, `c` (\[arvo1995\]).
+/// `None` if the triangle is degenerate.
 pub fn sample_triangle(a: DVec3, b: DVec3, c: DVec3, solid_angle: f64, u: [f32; 2]) -> Option<DVec3> {
     let (a, b, c) = (a.normalize(), b.normalize(), c.normalize());
-    // Cross products by differences: exact to rounding for narrow triangles.
+    // Cross products of differences are exact to rounding for narrow triangles.
     let ab = a.cross(b - a).normalize();
     let ca = c.cross(a - c).normalize();
     let cos_alpha = (-ab.dot(ca)).clamp(-1.0, 1.0);
@@ -81,7 +82,7 @@ pub fn sample_triangle(a: DVec3, b: DVec3, c: DVec3, solid_angle: f64, u: [f32; 
     let k2 = -s * cos_alpha + sin_alpha * (0.5 * (a - b).length_squared() - versine);
     let denominator = (k2 * sin_phi + k1 * cos_phi) * sin_alpha;
     let cos_b = if denominator == 0.0 {
-        1.0 // u = 0: c' is a.
+        1.0 // For u = 0, c' is a.
     } else {
         ((k2 + (k2 * cos_phi - k1 * sin_phi) * cos_alpha) / denominator).clamp(-1.0, 1.0)
     };
@@ -108,6 +109,7 @@ pub struct SphericalRectangle {
 }
 
 impl SphericalRectangle {
+    /// Prepares a rectangle.
     /// - `corner`: from the reference point to the corner.
     /// - `x`, `y`, `z`: the rectangle's unit axes; `size`: its extents along x and y.
     #[inline]
@@ -131,13 +133,13 @@ impl SphericalRectangle {
         Self { x0, x1, y0, y1, z0, solid_angle, far_angles: normalize(far) }
     }
 
-    /// Solid angle, sr in [0, 2 pi).
+    /// Returns the solid angle, sr in [0, 2 pi).
     #[inline]
     pub fn solid_angle(&self) -> f64 {
         self.solid_angle
     }
 
-    /// A point uniform over the solid angle, as coordinates (s, t) in [0, 1]^2 along the two axes (\[urena2013\]).
+    /// Samples a point uniformly over the solid angle, as coordinates (s, t) in [0, 1]^2 along the two axes (\[urena2013\]).
     pub fn sample(&self, u: [f32; 2]) -> [f64; 2] {
         let Self { x0, x1, y0, y1, z0, .. } = *self;
         let z02 = z0 * z0;
@@ -204,7 +206,7 @@ mod tests {
 
     #[test]
     fn points_of_a_rectangle_fill_parts_in_proportion_to_their_solid_angles() {
-        // The part left of x = m must receive the fraction u <= S_left / S: the map is monotone in u[0].
+        // The part left of x = m must receive the fraction u <= S_left / S, because the map is monotone in u[0].
         for (corner, size) in
             [(DVec3::new(-1.0, -2.0, 0.5), [2.0, 3.0]), (DVec3::new(900.0, -200.0, 400.0), [2.0, 3.0])]
         {
@@ -220,7 +222,7 @@ mod tests {
 
     #[test]
     fn directions_of_a_triangle_fill_parts_in_proportion_to_their_solid_angles() {
-        // c' moves on the edge a-c: the triangle a, b, c' has area u S. With u[1] = 1 the direction is c' itself.
+        // c' moves on the edge a-c: the triangle a, b, c' has area u S. With u[1] = 1, the direction is c' itself.
         for scale in [1.0, 1e-2, 1e-3] {
             let a = DVec3::new(0.2, 0.1, 1.0);
             let (e1, e2) = (DVec3::new(0.8, 0.1, 0.3) * scale, DVec3::new(-0.1, 0.9, -0.2) * scale);

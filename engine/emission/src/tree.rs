@@ -1,12 +1,12 @@
-//! Choice of one light among many, in proportion to a bound on what each may send to a place.
+//! Choice of one light among many, in proportion to a bound on the light that each may send to a place.
 //!
-//! A binary tree over the lights (\[conty2018\]); a node knows the sphere around its lights, the cone of their normals and
-//! their power. A place (a point, or a segment of a ray in fog) gives every node an importance. The choice begins among the nodes that are
-//! small as seen from the place ([`Front`]), and goes down from one of them, each time in proportion to the importance. A light has
-//! no probability only where it can send nothing.
+//! The lights form a binary tree (\[conty2018\]). A node stores the sphere around its lights, the cone of their normals and their
+//! power. A place (a point, or a segment of a ray in fog) gives every node an importance. The choice starts among the nodes that
+//! are small as seen from the place ([`Front`]). From one of them it descends, each time in proportion to the importance. A light
+//! has probability zero only if it can send nothing.
 //!
-//! Importances are bounds where that matters (a light that faces a place is never lost) and estimates elsewhere; with
-//! [`LightTree::probability_from`] for the weights the choice is unbiased whatever they are.
+//! Importances are bounds where that matters (a light that faces a place is never lost) and estimates elsewhere. With
+//! [`LightTree::probability_from`] for the weights, the choice is unbiased for any importances.
 
 mod build;
 mod place;
@@ -18,48 +18,48 @@ use femc_math::glam::Vec3A;
 
 pub use place::{AlongSegment, AtPoint, Lobes, Node, Place};
 
-/// Depth below which nodes are cut in the middle, so that no tree is deep.
+/// Depth below which nodes are split in the middle, which limits the depth of the tree.
 const STEEP: u32 = 32;
-/// Nodes whose middle is nearer than so many times their radius are looked into before the choice begins: a sphere says next to nothing
-/// about how near the lights in it are.
+/// Nodes whose middle is nearer than this multiple of their radius are opened before the choice starts: inside or near its sphere,
+/// a node says almost nothing about the distances of its lights.
 const NEAR: f32 = 2.0;
-/// Nodes at most that a choice begins among.
+/// Maximum number of nodes among which a choice starts.
 const FRONT: usize = 32;
-/// Child index of a leaf; the light's index is beside it.
+/// Child index that marks a leaf; its light's index is stored beside it.
 const LEAF: u32 = u32::MAX;
 /// Rank of a light without power.
 const ABSENT: u32 = u32::MAX;
 
-/// What the tree knows of a light.
+/// Properties of a light that the tree uses.
 #[derive(Clone, Copy, Debug)]
 pub struct LightBounds {
     /// Lower corner of the bounding box, m.
     pub low: Vec3A,
-    /// Upper corner.
+    /// Upper corner of the bounding box, m.
     pub high: Vec3A,
-    /// A point in the middle, of a flat light in its plane, m.
+    /// A point in the middle, m; for a flat light, it lies in its plane.
     pub center: Vec3A,
     /// Luminous flux, lm.
     pub power: f32,
-    /// Extinction of the media around it, 1/m: it makes far lights less important.
+    /// Extinction of the media around the light, 1/m; it makes far lights less important.
     pub haze: f32,
     /// Bound on normals and emission.
     pub cone: EmissionCone,
 }
 
-/// The tree.
+/// A binary tree of lights.
 #[derive(Clone, Debug, Default)]
 pub struct LightTree {
     nodes: Vec<Node>,
-    /// Of each light its rank among the leaves from left to right; [`ABSENT`] if it is not in the tree.
+    /// Rank of each light among the leaves from left to right; [`ABSENT`] if it is not in the tree.
     ranks: Vec<u32>,
-    /// Of each rank its node.
+    /// Node of each rank.
     leaves: Vec<u32>,
 }
 
 impl LightTree {
-    /// A tree over `lights`, whose indices it gives out. Lights without power, or with bounds that are not finite, are left
-    /// out: they are never chosen.
+    /// Builds a tree over `lights`; choices return indices into them. Lights without power, or with bounds that are not finite, are
+    /// left out and never chosen.
     pub fn new(lights: &[LightBounds]) -> Self {
         let has_power = |l: &LightBounds| l.power > 0.0 && l.power.is_finite() && (l.low + l.high).is_finite();
         let mut leaves: Vec<Cluster> = (0..lights.len() as u32)
@@ -76,6 +76,7 @@ impl LightTree {
         tree
     }
 
+    /// Builds the subtree of `leaves` at node `at`.
     /// - `first`: rank of the first of the leaves.
     fn build(&mut self, at: usize, leaves: &mut [Cluster], first: u32, depth: u32) {
         let ranks = (first, leaves.len() as u32);
@@ -96,7 +97,7 @@ impl LightTree {
         self.build(children + 1, right, first + middle as u32, depth + 1);
     }
 
-    /// Probability of the first child of a node; `None` where neither can send anything.
+    /// Returns the probability of the first child of a node; `None` if neither can send anything.
     #[inline]
     fn first_share(&self, children: u32, place: &impl Place) -> Option<f64> {
         let pair = &self.nodes[children as usize..children as usize + 2];
@@ -105,7 +106,7 @@ impl LightTree {
         (share.is_finite()).then_some(share)
     }
 
-    /// The nodes among which a choice for `place` begins: those that are small as seen from there, breadth first.
+    /// Returns the nodes among which a choice for `place` starts: those that are small as seen from there, breadth first.
     #[inline]
     pub fn front(&self, place: &impl Place) -> Front {
         let mut front = Front { parts: ArrayVec::new(), total: 0.0 };
@@ -129,24 +130,24 @@ impl LightTree {
         front
     }
 
-    /// The leaves from left to right: neighbours are near each other.
+    /// Returns the leaves from left to right: neighbors in this order are near each other.
     pub fn leaves(&self) -> Vec<Node> {
         self.leaves.iter().map(|&at| self.nodes[at as usize]).collect()
     }
 
-    /// The leaf of a light; `None` if it is not in the tree.
+    /// Returns the leaf of a light; `None` if it is not in the tree.
     #[inline]
     pub fn leaf(&self, light: u32) -> Option<&Node> {
         self.rank(light).map(|rank| &self.nodes[self.leaves[rank] as usize])
     }
 
-    /// Place of a light among the leaves; `None` if it is not in the tree.
+    /// Returns the position of a light among the leaves; `None` if it is not in the tree.
     #[inline]
     pub fn rank(&self, light: u32) -> Option<usize> {
         self.ranks.get(light as usize).filter(|&&rank| rank != ABSENT).map(|&rank| rank as usize)
     }
 
-    /// Nodes that hold every light once, at most `most` of them: those that are bright and wide are cut first.
+    /// Returns at most `most` nodes that together hold every light once. Bright and wide nodes are split first.
     pub fn cut(&self, most: usize) -> Vec<Node> {
         let weight = |node: &Node| node.intensity * node.radius;
         let mut parts: Vec<Node> = self.nodes.first().copied().into_iter().collect();
@@ -161,7 +162,8 @@ impl LightTree {
         parts
     }
 
-    /// Chooses a light for `place`, whose front is known, by `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
+    /// Chooses a light for `place` with `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
+    /// - `front`: from [`Self::front`] for the same place.
     #[inline]
     pub fn choose_from(&self, front: &Front, place: &impl Place, u: f64) -> Option<(u32, f32)> {
         if !(front.total > 0.0 && front.total.is_finite()) {
@@ -196,7 +198,7 @@ impl LightTree {
         (probability > 0.0).then_some((node.light, probability))
     }
 
-    /// Probability with which [`Self::choose_from`] chooses `light` for `place`.
+    /// Returns the probability with which [`Self::choose_from`] chooses `light` for `place`.
     #[inline]
     pub fn probability_from(&self, front: &Front, place: &impl Place, light: u32) -> f32 {
         let rank = self.ranks[light as usize];
@@ -222,7 +224,7 @@ impl LightTree {
     }
 }
 
-/// Where a choice for a place begins.
+/// The nodes among which a choice for a place starts.
 #[derive(Clone, Debug)]
 pub struct Front {
     /// Nodes that may send something, with their importance.

@@ -1,11 +1,11 @@
-//! Animated images, for machines without a video encoder: animated PNG (24-bit color, plays in browsers) and GIF (256 colors
-//! a frame, plays everywhere). Frames are encoded as they come, so a clip needs the memory of one.
+//! Animated images, for machines without a video encoder: animated PNG (24-bit color, plays in browsers) and GIF (256 colors per
+//! frame, plays everywhere). Frames are encoded as they arrive, so a clip needs the memory of only one frame.
 
 use crate::{FilmError, Picture};
 use std::io::Write;
 use std::path::Path;
 
-/// The encoder, as the file names it.
+/// Name of the encoder in the file.
 const SOFTWARE: &str = concat!("femc ", env!("CARGO_PKG_VERSION"));
 
 /// Kind of an animated image.
@@ -13,12 +13,12 @@ const SOFTWARE: &str = concat!("femc ", env!("CARGO_PKG_VERSION"));
 pub enum AnimationFormat {
     /// Animated PNG: lossless.
     Apng,
-    /// GIF: 256 colors a frame, chosen by a neural quantizer.
+    /// GIF: 256 colors per frame, chosen by a neural quantizer.
     Gif,
 }
 
 impl AnimationFormat {
-    /// The format that the extension of `path` names: png, apng or gif, in any case.
+    /// Returns the format of the extension of `path`: png, apng or gif, in any case.
     pub fn of(path: &Path) -> Result<Self, FilmError> {
         match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
             Some("png" | "apng") => Ok(Self::Apng),
@@ -28,7 +28,7 @@ impl AnimationFormat {
     }
 }
 
-/// An animated image in the making; endless loop.
+/// An encoder of an animated image; the image loops endlessly.
 pub struct Animation<W: Write> {
     size: (u32, u32),
     rate: f64,
@@ -42,7 +42,7 @@ enum Encoder<W: Write> {
 }
 
 impl<W: Write> Animation<W> {
-    /// Starts an image of exactly `frames` frames of one size at `rate` frames a second (0.01 to 100).
+    /// Starts an image of exactly `frames` frames of one size at `rate` frames per second (0.01 to 100).
     pub fn new(
         out: W,
         format: AnimationFormat,
@@ -80,7 +80,7 @@ impl<W: Write> Animation<W> {
         match &mut self.encoder {
             Encoder::Apng(writer) => writer.write_image_data(picture.pixels.as_flattened()).map_err(failed)?,
             Encoder::Gif(encoder) => {
-                /// Quality against time, 1 (best) to 30.
+                /// Trade-off between quality and time, 1 (best) to 30.
                 const SPEED: i32 = 10;
                 let (w, h) = (self.size.0 as u16, self.size.1 as u16);
                 let mut frame = gif::Frame::from_rgb_speed(w, h, picture.pixels.as_flattened(), SPEED);
@@ -94,7 +94,7 @@ impl<W: Write> Animation<W> {
         Ok(())
     }
 
-    /// Closes the image; fewer frames than announced are an error of animated PNG.
+    /// Finishes the image. For animated PNG, fewer frames than announced are an error.
     pub fn finish(self) -> Result<(), FilmError> {
         match self.encoder {
             Encoder::Apng(writer) => writer.finish().map_err(failed),

@@ -1,20 +1,20 @@
-//! Tiles as bytes: a versioned little-endian header, a checksum, and the sums, zstd-compressed.
+//! Binary format of tiles: a versioned little-endian header, a checksum, and the zstd-compressed sums.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
-//! | 8 | `FEMCTILE`; of a thumbnail, whose pixels have the samples of a block, `FEMCTHMB` |
+//! | 8 | `FEMCTILE`; `FEMCTHMB` for a thumbnail, whose pixels have the samples of a block |
 //! | 4 | format version, 4 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 x 4 | x, y, width, height |
 //! | 4 + 8 n | number of sample ranges; start and end of each |
-//! | 2 x 4 | for each half the sample from which on it is held, 2^32 - 1: none |
+//! | 2 x 4 | for each half, the first held sample; 2^32 - 1: none |
 //! | 8 | rays traced for the samples |
 //! | 4 x 8 + 5 x 4 | bad samples: count of each kind; whether there is a first one, its row, column, sample and kind |
 //! | rest | zstd frame of the sums |
 //!
-//! The sums are stored as byte planes (the lowest byte of the first sum of all pixels, then the next): high bytes are mostly
-//! zero and compress to nothing. The checksum is verified before anything is allocated, and the size of the plain sums is
-//! fixed by the header, so a wrong length is refused.
+//! The sums are stored as byte planes (the lowest byte of the first sum of all pixels, then the next): high bytes are mostly zero
+//! and compress to nothing. The checksum is verified before anything is allocated. The header determines the size of the plain
+//! sums, so a wrong length is refused.
 
 use crate::thumbnail::BLOCK;
 use crate::tile::{HALVES, MAX_TILE_PIXELS, PixelSums};
@@ -30,28 +30,28 @@ const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 const WIDE: usize = 3 * HALVES + REPLICATES + 1;
 const PIXEL_BYTES: usize = 16 * WIDE + 3 * 8 + 4 * (1 + HALVES + REPLICATES + HALVES);
-/// A tile is cut into fewer sample ranges than this.
+/// Maximum number of sample ranges of a tile.
 const MAX_RANGES: u32 = 1 << 16;
-/// Fast, and what remains after the byte planes is noise.
+/// Compression level: fast, because the data that remains after the byte planes is noise.
 const LEVEL: i32 = 1;
 
 impl Tile {
-    /// The tile as bytes: the same bytes for the same sums.
+    /// Encodes the tile. Equal sums give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         self.encode_as(MAGIC)
     }
 
-    /// The tile from its bytes; damage of any kind is an error.
+    /// Decodes a tile; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         Self::decode_as(MAGIC, 1, bytes)
     }
 
-    /// A thumbnail as bytes.
+    /// Encodes a thumbnail.
     pub fn encode_thumbnail(&self) -> Vec<u8> {
         self.encode_as(THUMBNAIL)
     }
 
-    /// A thumbnail from its bytes; damage of any kind is an error.
+    /// Decodes a thumbnail; damage of any kind is an error.
     pub fn decode_thumbnail(bytes: &[u8]) -> Result<Self, FilmError> {
         Self::decode_as(THUMBNAIL, BLOCK * BLOCK, bytes)
     }
@@ -68,6 +68,7 @@ impl Tile {
         finish(out, &to_planes(&self.pixels, to_bytes))
     }
 
+    /// Decodes a tile or a thumbnail.
     /// - `area`: pixels of the film in a pixel of the tile.
     fn decode_as(magic: &[u8; 8], area: u32, bytes: &[u8]) -> Result<Self, FilmError> {
         let mut reader = open(magic, VERSION, bytes)?;
@@ -89,7 +90,7 @@ impl Tile {
     }
 }
 
-/// Magic, version, and room for the checksum.
+/// Starts a header: magic, version, and space for the checksum.
 pub(crate) fn begin(magic: &[u8; 8], version: u32) -> Vec<u8> {
     let mut out = magic.to_vec();
     out.extend_from_slice(&version.to_le_bytes());
@@ -97,33 +98,33 @@ pub(crate) fn begin(magic: &[u8; 8], version: u32) -> Vec<u8> {
     out
 }
 
-/// A long number as words, the lower one first.
+/// Splits a 64-bit number into words, the lower one first.
 pub(crate) fn words_of(number: u64) -> [u32; 2] {
     [number as u32, (number >> 32) as u32]
 }
 
-/// Bad samples, as words.
+/// Writes bad samples as words.
 pub(crate) fn put_bad(bad: &BadSamples, mut word: impl FnMut(u32)) {
     bad.counts.iter().flat_map(|&count| words_of(count)).for_each(&mut word);
     let first = bad.first.map_or([0; 5], |b| [1, b.y, b.x, b.sample, b.kind as u32]);
     first.into_iter().for_each(&mut word);
 }
 
-/// The header, the byte planes compressed, and the checksum of both.
+/// Appends the compressed byte planes to the header, and fills in the checksum.
 pub(crate) fn finish(mut out: Vec<u8>, planes: &[u8]) -> Vec<u8> {
-    // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
+    // Compression into a growing buffer in memory cannot fail. If it does, the result does not decode.
     out.extend(zstd::bulk::compress(planes, LEVEL).unwrap_or_default());
     seal(out)
 }
 
-/// Puts in the checksum of all that follows it.
+/// Fills in the checksum of everything after it.
 pub(crate) fn seal(mut out: Vec<u8>) -> Vec<u8> {
     let sum = blake3::hash(&out[PREFIX..]);
     out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
     out
 }
 
-/// What follows the checksum, which is right.
+/// Verifies magic, version and checksum, and returns a reader of the rest.
 pub(crate) fn open<'a>(magic: &[u8; 8], version: u32, bytes: &'a [u8]) -> Result<Reader<'a>, FilmError> {
     let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("cut short"))?;
     if prefix[..magic.len()] != magic[..] {
@@ -140,16 +141,16 @@ pub(crate) fn open<'a>(magic: &[u8; 8], version: u32, bytes: &'a [u8]) -> Result
     Ok(Reader(body))
 }
 
-/// What is left to read.
+/// Reader of the remaining bytes.
 pub(crate) struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
-    /// All that is left.
+    /// Returns all remaining bytes.
     pub(crate) fn rest(self) -> &'a [u8] {
         self.0
     }
 
-    /// The pixels of compressed byte planes.
+    /// Decodes the pixels of compressed byte planes.
     pub(crate) fn planes<T, const N: usize>(
         self,
         count: usize,
@@ -158,7 +159,7 @@ impl<'a> Reader<'a> {
         Ok(from_planes(&self.plain(count * N)?, count, from_bytes))
     }
 
-    /// What is left, decompressed: so many bytes.
+    /// Decompresses the remaining bytes, which must give `size` bytes.
     pub(crate) fn plain(self, size: usize) -> Result<Vec<u8>, FilmError> {
         if zstd::zstd_safe::get_frame_content_size(self.0).ok().flatten() != Some(size as u64) {
             return Err(FilmError::Corrupt("pixels of another number"));
@@ -186,18 +187,19 @@ impl<'a> Reader<'a> {
         Ok(u64::from(low) | (u64::from(high) << 32))
     }
 
-    /// How a film is cut, and some of its tiles, at least one.
+    /// Reads the tiling of a film, and a range of its tiles, at least one.
     pub(crate) fn tiles(&mut self) -> Result<(Tiling, Range<usize>), FilmError> {
         let [width, height, edge, start, end] = self.words()?;
         let (tiling, tiles) = (Tiling::new(width, height, edge)?, start as usize..end as usize);
-        // Of each tile something follows: a header that claims more is about to fill the memory.
+        // Every tile takes at least one more byte. Refuse a header that claims more tiles, before it makes the reader allocate
+        // memory for them.
         if tiles.is_empty() || tiles.end > tiling.count() || tiles.len() > self.0.len() {
             return Err(FilmError::Corrupt("impossible tiles"));
         }
         Ok((tiling, tiles))
     }
 
-    /// A range of samples, which is not empty.
+    /// Reads a sample range, which must not be empty.
     pub(crate) fn range(&mut self) -> Result<SampleRange, FilmError> {
         let [start, end] = self.words()?;
         let range = SampleRange { start, end };
@@ -272,7 +274,7 @@ fn from_bytes(bytes: &[u8; PIXEL_BYTES]) -> PixelSums {
     }
 }
 
-/// Pixels transposed at a time: planes lie a power of two apart, and single bytes written to them would share a cache set.
+/// Number of pixels transposed at a time: planes lie a power of two apart, so single bytes written to them would share a cache set.
 const STRIP: usize = 64;
 
 pub(crate) fn to_planes<T, const N: usize>(pixels: &[T], to_bytes: impl Fn(&T) -> [u8; N]) -> Vec<u8> {

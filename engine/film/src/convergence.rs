@@ -1,11 +1,11 @@
-//! How far an image is from converged, by its own account.
+//! Error estimates of an image, from the image's own samples.
 //!
-//! The measure is taken over blocks of 16 x 16 pixels, because the variance of a single pixel is too noisy to tell anything. The
-//! variance of a block's mean is estimated by the differences of its pixels' halves, which are independent ([`crate::tile`]): the
-//! estimate is unbiased, whatever the stratification. Nothing is added to it here; what further samples are decided by is more careful
-//! ([`crate::errors`]).
+//! Errors are measured over blocks of 16 x 16 pixels, because the variance of a single pixel is too noisy. The variance of a
+//! block's mean is estimated from the differences of its pixels' halves, which are independent ([`crate::tile`]). The estimate is
+//! unbiased, whatever the stratification. No safety margin is added here; the errors that decide on further samples are more
+//! cautious ([`crate::errors`]).
 //!
-//! A block whose samples have all been black is **unlit**: nothing is known of its error but that no light was met.
+//! A block whose samples have all been black is **unlit**. Its error is unknown: no sample received light.
 
 use crate::piece::Pixel;
 use crate::{FrameImage, Rect};
@@ -13,26 +13,26 @@ use femc_math::color::LUMINANCE_WEIGHTS;
 
 /// Edge of a block, pixels.
 pub const BLOCK: u32 = 16;
-/// Half width of a 95 % interval in standard errors, of a normal number whose variance is known.
+/// Half width of a 95 % interval in standard errors, for a normal distribution with known variance.
 pub(crate) const Z_95: f64 = 1.959_963_984_540_054;
-/// Blocks darker than this share of the image's mean luminance are measured against it.
+/// Fraction of the image's mean luminance below which blocks are measured relative to this luminance instead of their own.
 pub const FLOOR: f64 = 0.01;
 
-/// What the error of a block of pixels is made of.
+/// Statistics of a block of pixels that determine its error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Block {
-    /// The pixels.
+    /// The pixels of the block.
     pub rect: Rect,
     /// Sum of their luminances, cd/m2 times pixels.
     pub sum: f64,
-    /// Estimated variance of that sum; infinite when a pixel has fewer than two samples.
+    /// Estimated variance of that sum; infinite if a pixel has fewer than two samples.
     pub variance: f64,
-    /// Degrees of freedom of the estimate: about the number of pixels where they are alike, 3 where one of them has all the variance.
+    /// Degrees of freedom of the estimate: about the number of pixels if they are alike, 3 if one of them has all the variance.
     pub freedom: f64,
 }
 
 impl Block {
-    /// Of the pixels of `rect`.
+    /// Computes the statistics from the pixels of `rect`.
     pub(crate) fn of(rect: Rect, pixels: impl Iterator<Item = Pixel>) -> Self {
         let (mut sum, mut variance, mut squares) = (0.0, 0.0, 0.0);
         for Pixel { color, luminance_variance, samples, .. } in pixels {
@@ -44,8 +44,8 @@ impl Block {
         Self { rect, sum, variance, freedom: freedom(variance, squares) }
     }
 
-    /// Half width of the 95 % confidence interval of the mean luminance, relative to that mean, or to `floor` where that is
-    /// larger; `None`: the block is unlit.
+    /// Returns the half width of the 95 % confidence interval of the mean luminance, relative to that mean or to `floor`, whichever
+    /// is larger; `None`: the block is unlit.
     pub fn relative(&self, floor: f64) -> Option<f64> {
         let n = self.rect.area() as f64;
         let half_width = || student_95(self.freedom) * self.variance.sqrt() / n;
@@ -57,14 +57,16 @@ impl Block {
     }
 }
 
-/// Degrees of freedom of a sum of squares of normal numbers (\[satterthwaite1946\]), each of one degree, from the sum and the sum of
-/// their squares, a third of whose mean is that of the squared variances. From 3 on.
+/// Estimates the degrees of freedom of a sum of squares of normal numbers (\[satterthwaite1946\]), each of one degree. The inputs
+/// are the sum of the squares and the sum of their squares; a third of the latter estimates the sum of the squared variances. The
+/// result is at least 3.
 pub(crate) fn freedom(sum: f64, squares: f64) -> f64 {
     if squares > 0.0 && squares.is_finite() { 3.0 * sum * sum / squares } else { f64::INFINITY }
 }
 
-/// The 97.5 % quantile of Student's distribution: half the width of a 95 % interval, in standard errors. For 1 and 2 degrees of freedom
-/// it has a closed form; from 3 on it is the expansion about the normal one (\[abramowitz1964\], 26.7.5), within 1 %.
+/// Returns the 97.5 % quantile of Student's distribution: half the width of a 95 % interval, in standard errors. For 1 and 2
+/// degrees of freedom it has a closed form; from 3 on it is the expansion about the normal one (\[abramowitz1964\], 26.7.5), within
+/// 1 %.
 pub fn student_95(freedom: f64) -> f64 {
     if freedom < 2.5 {
         return if freedom < 1.5 { 12.706_205 } else { 4.302_653 };
@@ -78,7 +80,7 @@ pub fn student_95(freedom: f64) -> f64 {
     terms.iter().rev().fold(0.0, |rest, term| (rest + term) / freedom) + z
 }
 
-/// The blocks of a rectangle, row by row from its corner; those at its right and lower border may be cut.
+/// Returns the blocks of a rectangle, row by row from its corner; those at its right and lower border may be smaller.
 pub(crate) fn blocks(area: Rect) -> impl Iterator<Item = Rect> {
     let Rect { x, y, width, height } = area;
     let across = move |down: u32| {
@@ -92,7 +94,7 @@ pub(crate) fn blocks(area: Rect) -> impl Iterator<Item = Rect> {
     (0..height).step_by(BLOCK as usize).flat_map(across)
 }
 
-/// Rec.709 luminance, cd/m2.
+/// Computes the Rec.709 luminance, cd/m2.
 pub(crate) fn luminance(color: [f64; 3]) -> f64 {
     color.iter().zip(LUMINANCE_WEIGHTS.to_array()).map(|(value, weight)| f64::from(weight) * value).sum()
 }
@@ -100,31 +102,30 @@ pub(crate) fn luminance(color: [f64; 3]) -> f64 {
 /// Error of one block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockError {
-    /// The pixels.
+    /// The pixels of the block.
     pub rect: Rect,
-    /// Half width of the 95 % confidence interval of the block's mean luminance, relative to that mean (or to 1 % of the
-    /// image's mean where that is larger). Infinite when a pixel of the block has fewer than two samples; `None`: no sample has met
-    /// light.
+    /// Half width of the 95 % confidence interval of the block's mean luminance, relative to that mean or to 1 % of the image's
+    /// mean, whichever is larger. Infinite if a pixel of the block has fewer than two samples; `None`: no sample received light.
     pub relative: Option<f64>,
 }
 
 /// Error of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameError {
-    /// Largest relative error of a block: the frame has converged to it at 95 % confidence, each block.
+    /// Largest relative error of a block: every block has converged to it at 95 % confidence.
     pub worst: f64,
     /// Mean relative error of the lit blocks.
     pub mean: f64,
-    /// Blocks none of whose samples has met light: they have no part in the other numbers.
+    /// Number of blocks without light in any sample; the other numbers exclude them.
     pub unlit: usize,
-    /// Luminance that darker blocks are measured against: 1 % of the frame's mean, cd/m2.
+    /// Reference luminance for darker blocks: 1 % of the frame's mean, cd/m2.
     pub floor: f64,
     /// The blocks, row by row.
     pub blocks: Vec<BlockError>,
 }
 
 impl FrameError {
-    /// Of all blocks of a frame, in any order. A black frame has error 0 and only unlit blocks.
+    /// Computes the error from all blocks of a frame, in any order. A black frame has error 0 and only unlit blocks.
     pub fn of(mut blocks: Vec<Block>) -> Self {
         blocks.sort_unstable_by_key(|block| (block.rect.y, block.rect.x));
         let pixels: u64 = blocks.iter().map(|block| block.rect.area()).sum();
@@ -137,14 +138,14 @@ impl FrameError {
         Self { worst, mean, unlit: blocks.len() - lit().count(), floor, blocks }
     }
 
-    /// The worst relative error; `None` where it cannot be told: a pixel has fewer than two samples, or no sample met light.
+    /// Returns the worst relative error; `None` if it is unknown: a pixel has fewer than two samples, or no sample received light.
     pub fn reached(&self) -> Option<f64> {
         (self.unlit < self.blocks.len() && self.worst.is_finite()).then_some(self.worst)
     }
 }
 
 impl FrameImage {
-    /// The error of the frame, in blocks from its upper left corner.
+    /// Computes the error of the frame, in blocks from its upper left corner.
     pub fn error(&self) -> FrameError {
         let (width, height) = (self.color.width, self.color.height);
         let pixels = |rect: Rect| rect.pixels().map(|(x, y)| self.pixel(y as usize * width as usize + x as usize));
@@ -181,7 +182,8 @@ mod tests {
 
     #[test]
     fn the_error_of_a_gray_block_is_its_standard_error_by_hand() {
-        // 256 pixels of variance 0.01: the block's mean has the standard error 0.1 / 16. Equal squares have three times the freedom.
+        // 256 pixels of variance 0.01: the block's mean has the standard error 0.1 / 16. Equal squares triple the degrees of
+        // freedom.
         let error = gray(16, 16, 2.0, 0.01).error();
         assert!((error.worst - student_95(768.0) * 0.00625 / 2.0).abs() < 1e-7, "{error:?}");
         assert_eq!((error.blocks.len(), error.worst), (1, error.mean));

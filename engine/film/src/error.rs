@@ -1,4 +1,4 @@
-//! What can go wrong with film data.
+//! Errors in film data.
 
 use crate::{Rect, SampleRange};
 use std::path::PathBuf;
@@ -22,12 +22,12 @@ pub enum FilmError {
     /// Two tiles of different pixels cannot be merged.
     #[error("tile {found} merged into tile {expected}")]
     OtherPixels {
-        /// Pixels of the tile that was to grow.
+        /// Pixels of the tile that is merged into.
         expected: Rect,
-        /// Pixels of the other one.
+        /// Pixels of the other tile.
         found: Rect,
     },
-    /// The tile's pixels are no tile of the frame.
+    /// The tile's pixels match no tile of the frame.
     #[error("tile {0} is none of the frame's tiles")]
     NotInFrame(Rect),
     /// Some, but not all, samples of a tile have been counted before.
@@ -35,18 +35,18 @@ pub enum FilmError {
     Overlap {
         /// Pixels of the tile.
         rect: Rect,
-        /// Range already there.
+        /// Sample range that is already counted.
         old: SampleRange,
-        /// Range that was to be added.
+        /// Sample range to add.
         new: SampleRange,
     },
-    /// A tile that is to be resolved is not whole.
+    /// A tile cannot be resolved, because it has no samples or a gap in them.
     #[error("tile {0} has no samples, or a gap in them")]
     Gap(Rect),
-    /// Bytes that are no tile, or a damaged one.
+    /// The bytes are not a tile, or they are damaged.
     #[error("tile data: {0}")]
     Corrupt(&'static str),
-    /// Bytes written by another version of the format.
+    /// The bytes were written by another version of the format.
     #[error("tile data of format {found}, this is format {expected}")]
     Version {
         /// Version in the data.
@@ -59,25 +59,25 @@ pub enum FilmError {
     Format {
         /// Kind of file.
         what: &'static str,
-        /// What its library says.
+        /// Message of the image library.
         cause: String,
     },
     /// An EXR file has no colors.
     #[error("EXR without channels R, G and B in one part; it has: {found}")]
     NoColors {
-        /// Names of the channels it has.
+        /// Names of the channels in the file.
         found: String,
     },
-    /// Two images cannot be compared.
+    /// Two images of different sizes cannot be compared.
     #[error("sizes differ: {a_width}x{a_height} against {b_width}x{b_height}")]
     SizesDiffer {
-        /// Width of the first.
+        /// Width of the first image.
         a_width: u32,
-        /// Height of the first.
+        /// Height of the first image.
         a_height: u32,
-        /// Width of the second.
+        /// Width of the second image.
         b_width: u32,
-        /// Height of the second.
+        /// Height of the second image.
         b_height: u32,
     },
     /// No pixel is finite in both images.
@@ -88,18 +88,18 @@ pub enum FilmError {
     File {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         cause: std::io::Error,
     },
-    /// A named file's content is at fault.
+    /// The content of a named file is invalid.
     #[error("{}: {cause}", .path.display())]
     In {
         /// The file.
         path: PathBuf,
-        /// The fault.
+        /// Error in the content.
         cause: Box<FilmError>,
     },
-    /// An animated image's extension names no format that is written here.
+    /// The extension of an animated image is not a supported format.
     #[error("{}: an animated image ends in .png, .apng or .gif", .0.display())]
     AnimationFormat(PathBuf),
 }

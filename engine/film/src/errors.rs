@@ -1,23 +1,24 @@
-//! What decides on the further samples of a frame's tiles, without their pixels.
+//! Error statistics of tiles, from which further samples are decided without the pixels.
 //!
-//! [`Errors`] hold of each tile its samples, its bad samples, where its halves end, and of each block of 16 x 16 pixels what its error
-//! is made of ([`Block`]) and, for each half of the samples, a bound of the variance of the block ([`HalfBlock`]).
+//! [`Errors`] hold for each tile its samples, its bad samples and the ends of its halves. For each block of 16 x 16 pixels they
+//! hold the statistics of its error ([`Block`]) and, for each half of the samples, a bound on the variance of the block
+//! ([`HalfBlock`]).
 //!
-//! The bound is careful where an estimate is not enough. A variance estimated by few pixels, or by many of which a few have most of
-//! it, is itself uncertain: a multiple of its own standard error is added. And light that is rare may not have been met: the
-//! bound is at least what three events as bright as the brightest sample would bring, for so many may be missed at 95 %
-//! confidence.
+//! The bound adds caution where an estimate is not enough. A variance estimated from few pixels, or from many of which a few have
+//! most of it, is itself uncertain, so a multiple of its own standard error is added. Rare light may not have been sampled yet, so
+//! the bound is at least the effect of three events as bright as the brightest sample. If no such
+//! event was seen, their mean number is at most three, at 95 % confidence.
 //!
-//! Blocks begin at each tile's corner: where a tile's edge is a multiple of 16, they are those of [`FrameImage::error`]
-//! (`the_error_of_the_tiles_is_the_error_of_the_image`). As bytes:
+//! Blocks begin at each tile's corner. If the tile edge is a multiple of 16, they are those of [`FrameImage::error`]
+//! (`the_error_of_the_tiles_is_the_error_of_the_image`). The binary format:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCERRS` |
 //! | 4 | format version, 3 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 5 x 4 | film width, film height, tile edge; first tile, one past the last |
-//! | 32 each | of each tile its samples (the first, one past the last), number of bad samples, rays traced, the ends of its halves |
+//! | 32 each | for each tile: samples (the first, one past the last), number of bad samples, rays traced, the ends of its halves |
 //! | rest | zstd frame of the blocks in the order of the tiles, 7 doubles each, in byte planes |
 //!
 //! [`FrameImage::error`]: crate::FrameImage::error
@@ -33,41 +34,41 @@ const MAGIC: &[u8; 8] = b"FEMCERRS";
 const VERSION: u32 = 3;
 const NUMBERS: usize = 3 + 2 * HALVES;
 const BLOCK_BYTES: usize = 8 * NUMBERS;
-/// Standard errors of the variance that a bound adds to it: 95 %, one side.
+/// Number of standard errors that a bound adds to the variance: 95 %, one side.
 const CARE: f64 = 1.645;
-/// Events that may be missed where their mean number is this: at 95 % confidence, none seen.
+/// Mean number of events of which none may be seen, at 95 % confidence.
 const UNSEEN: f64 = 3.0;
 
-/// How far a tile is from converged.
+/// Convergence of a tile.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TileErrors {
-    /// Its samples.
+    /// Samples of the tile.
     pub samples: SampleRange,
-    /// How many of them, of all pixels, were left out.
+    /// Number of samples that were left out, over all pixels.
     pub bad: u64,
-    /// What they cost, in rays traced.
+    /// Cost of the samples, in traced rays.
     pub work: u64,
-    /// For each half the sample from which on it is held.
+    /// First held sample of each half.
     pub ends: Ends,
-    /// Its blocks, row by row.
+    /// Blocks, row by row.
     pub blocks: Vec<TileBlock>,
 }
 
 /// A block of a tile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TileBlock {
-    /// What its error is made of.
+    /// Statistics of its error.
     pub block: Block,
-    /// What each half of its samples says, those that are held among them.
+    /// Statistics of each half of its samples, including held samples.
     pub halves: [HalfBlock; HALVES],
 }
 
-/// A block by one half of its samples.
+/// Statistics of a block from one half of its samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfBlock {
     /// Sum of the pixels' luminances, cd/m2 times pixels.
     pub sum: f64,
-    /// Bound of the variance of that sum; infinite where a pixel has too few samples.
+    /// Bound on the variance of that sum; infinite if a pixel has too few samples.
     pub bound: f64,
 }
 
@@ -76,7 +77,7 @@ impl HalfBlock {
         let (mut sum, mut variance, mut squares, mut unseen) = (0.0, 0.0, 0.0, 0.0);
         let is_early = tile.spp() < 2 * femc_math::sampler::REPLICATES as u64;
         for sums in rect.pixels().map(|pixel| tile.pixel(pixel)) {
-            // A pixel without good samples has bad ones: they are reported, and no number of them would help.
+            // A pixel without good samples has only bad ones. They are reported, and more samples would not help.
             let Some([a, b]) = sums.luminances(half) else {
                 variance += if is_early { f64::INFINITY } else { 0.0 };
                 continue;
@@ -88,13 +89,13 @@ impl HalfBlock {
             squares += one * one;
             unseen = f64::max(unseen, f64::from(sums.peak[half]) / f64::from(drawn));
         }
-        // The square of the difference of two normal numbers has the variance 2 V2, and its square the mean 3 V2.
+        // The square of the difference of two normal numbers has variance 2 V^2, and the mean of its square is 3 V^2.
         let bound = variance + CARE * (2.0 / 3.0 * squares).sqrt();
         Self { sum, bound: bound.max(UNSEEN * unseen * unseen) }
     }
 
-    /// The error that an image of two such halves has in this block: half width of a 95 % interval of the mean luminance, relative
-    /// to that mean or to `floor`, cd/m2, where that is larger. `None`: no sample has met light.
+    /// Returns the error of this block in an image of two such halves: half width of a 95 % interval of the mean luminance,
+    /// relative to that mean or to `floor`, cd/m2, whichever is larger. `None`: no sample received light.
     /// - `area`: pixels of the block.
     pub fn relative(&self, area: u64, floor: f64) -> Option<f64> {
         let n = area as f64;
@@ -120,15 +121,15 @@ impl TileBlock {
 }
 
 impl TileErrors {
-    /// The largest error of a block by one half of the samples ([`HalfBlock::relative`]); a block that has met no light has the error
-    /// `unlit`.
+    /// Returns the largest error of a block in one half of the samples ([`HalfBlock::relative`]); a block without light has the
+    /// error `unlit`.
     pub fn worst(&self, half: usize, floor: f64, unlit: f64) -> f64 {
         let error = |it: &TileBlock| it.halves[half].relative(it.block.rect.area(), floor).unwrap_or(unlit);
         self.blocks.iter().map(error).fold(0.0, f64::max)
     }
 }
 
-/// How far some tiles of a frame are from converged.
+/// Convergence of some tiles of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Errors {
     tiling: Tiling,
@@ -137,8 +138,8 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Of these tiles of `frame`.
-    /// - errors: there are none; the frame has fewer tiles; one has no samples, or a gap in them.
+    /// Computes the errors of these tiles of `frame`.
+    /// - errors: the range is empty; the frame has fewer tiles; a tile has no samples, or a gap in them.
     pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
         if tiles.is_empty() {
             return Err(FilmError::Corrupt("a group of no tiles"));
@@ -152,27 +153,27 @@ impl Errors {
         Ok(Self { tiling, first, tiles: tiles.map(measure).collect::<Result<_, FilmError>>()? })
     }
 
-    /// How their film is cut.
+    /// Returns the tiling of the film.
     pub fn tiling(&self) -> Tiling {
         self.tiling
     }
 
-    /// Numbers of the tiles.
+    /// Returns the numbers of the tiles.
     pub fn tiles(&self) -> Range<usize> {
         self.first..self.first + self.tiles.len()
     }
 
-    /// The samples of each tile.
+    /// Returns the samples of each tile.
     pub fn samples(&self) -> impl Iterator<Item = SampleRange> + '_ {
         self.tiles.iter().map(|tile| tile.samples)
     }
 
-    /// Of each tile, in order.
+    /// Returns the errors of each tile, in order.
     pub fn into_tiles(self) -> Vec<TileErrors> {
         self.tiles
     }
 
-    /// The errors as bytes: the same bytes for the same errors.
+    /// Encodes the errors. Equal errors give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = begin(MAGIC, VERSION);
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
@@ -186,7 +187,7 @@ impl Errors {
         finish(out, &to_planes(&blocks, |block| block.to_bytes()))
     }
 
-    /// The errors from their bytes; damage of any kind is an error.
+    /// Decodes errors; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let mut reader = open(MAGIC, VERSION, bytes)?;
         let (tiling, tiles) = reader.tiles()?;
@@ -215,7 +216,7 @@ fn numbers(bytes: &[u8; BLOCK_BYTES]) -> [f64; NUMBERS] {
     std::array::from_fn(|at| f64::from_le_bytes(std::array::from_fn(|i| bytes[8 * at + i])))
 }
 
-/// A block of these numbers, if they can be one's.
+/// Creates a block from these numbers if they are valid.
 fn sound(rect: Rect, [sum, variance, freedom, numbers @ ..]: [f64; NUMBERS]) -> Option<TileBlock> {
     let is_sum = |value: f64| value.is_finite() && value >= 0.0;
     let halves = std::array::from_fn(|half| HalfBlock { sum: numbers[2 * half], bound: numbers[2 * half + 1] });

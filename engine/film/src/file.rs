@@ -1,4 +1,4 @@
-//! Files that appear whole or not at all.
+//! Atomic file writes.
 
 use crate::FilmError;
 use std::fs::{self, File};
@@ -6,8 +6,8 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Writes `bytes` to `path` so that a reader, or a restart after a crash, sees the old file or the whole new one: a temporary
-/// file beside it is synced to the disk and renamed over it. Creates the folder if it does not exist.
+/// Writes `bytes` to `path` so that a reader, or a restart after a crash, sees the old file or the whole new one. A temporary file
+/// beside it is synced to the disk and renamed over it. Creates the folder if it does not exist.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FilmError> {
     static SERIAL: AtomicU64 = AtomicU64::new(0);
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -21,7 +21,7 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FilmError> {
         fs::rename(&temporary, path)
     });
     written.map_err(|cause| {
-        // The write's own error is the one to report.
+        // Report the error of the write itself.
         drop(fs::remove_file(&temporary));
         FilmError::File { path: path.into(), cause }
     })?;
@@ -29,7 +29,7 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FilmError> {
     Ok(())
 }
 
-/// Makes the rename itself durable where folders can be synced; elsewhere the system does it in its own time.
+/// Makes the rename itself durable where folders can be synced. Elsewhere the operating system decides when.
 fn sync_folder(folder: &Path) {
     if let Ok(handle) = File::open(folder) {
         drop(handle.sync_all());

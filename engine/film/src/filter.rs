@@ -1,8 +1,8 @@
 //! Pixel filters, by filter importance sampling.
 //!
-//! A filter is a density over the offset from the pixel's center. Offsets are drawn in proportion to it, so each sample has
-//! weight 1 and belongs to exactly one pixel (\[ernst2006\]): tiles need no borders and pixels stay independent. The price is
-//! that a sample helps one pixel only. All four filters are non-negative and separable.
+//! A filter is a density over the offset from the pixel's center. Offsets are sampled in proportion to it, so each sample has
+//! weight 1 and belongs to exactly one pixel (\[ernst2006\]). Tiles need no borders, and pixels stay independent. The price is that
+//! a sample contributes to a single pixel. All four filters are non-negative and separable.
 
 use femc_math::elementary::double;
 use serde::{Deserialize, Serialize};
@@ -23,7 +23,8 @@ pub enum Filter {
     BlackmanHarris,
 }
 
-/// Mass between the center and each border of equally wide cells of the half axis, of the mass of the half axis.
+/// Cumulative mass between the center and each border of equally wide cells of the half axis, as a fraction of the mass of the half
+/// axis.
 type Table = [f32; CELLS + 1];
 const CELLS: usize = 512;
 
@@ -31,7 +32,7 @@ impl Filter {
     /// All filters.
     pub const ALL: [Self; 4] = [Self::Box, Self::Triangle, Self::Gaussian, Self::BlackmanHarris];
 
-    /// Name on the command line and in settings.
+    /// Returns the name on the command line and in settings.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Box => "box",
@@ -41,7 +42,7 @@ impl Filter {
         }
     }
 
-    /// Largest offset along an axis, pixels.
+    /// Returns the largest offset along an axis, pixels.
     pub const fn radius(self) -> f32 {
         match self {
             Self::Box => 0.5,
@@ -50,7 +51,7 @@ impl Filter {
         }
     }
 
-    /// Unnormalised density along one axis at offset `x` in pixels, for `|x|` up to the radius.
+    /// Returns the unnormalized density along one axis at offset `x` in pixels, for `|x|` up to the radius.
     pub fn eval(self, x: f64) -> f64 {
         match self {
             Self::Box => 1.0,
@@ -63,11 +64,11 @@ impl Filter {
         }
     }
 
-    /// Offset (x, y) from the pixel's center, pixels, for a uniform point `u` of the unit square; weight 1.
+    /// Returns the offset (x, y) from the pixel's center, pixels, for a uniform point `u` of the unit square; weight 1.
     ///
-    /// Law: offsets follow [`eval`](Self::eval) (test `offsets_follow_the_filter`). Monotone in each coordinate, so
-    /// stratified points give stratified offsets. Gaussian and Blackman-Harris are taken as constant over each of 1024
-    /// equally wide cells.
+    /// Law: offsets follow [`eval`](Self::eval) (test `offsets_follow_the_filter`). The map is monotone in each coordinate, so
+    /// stratified points give stratified offsets. Gaussian and Blackman-Harris are treated as constant over each of 1024 equally
+    /// wide cells.
     #[inline]
     pub fn sample(self, u: [f32; 2]) -> [f32; 2] {
         match self {
@@ -79,7 +80,7 @@ impl Filter {
 }
 
 impl Filter {
-    /// Density of [`sample`](Self::sample) at an offset from the pixel's center, 1/pixel2; 0 beyond the radius.
+    /// Returns the density of [`sample`](Self::sample) at an offset from the pixel's center, 1/pixel2; 0 beyond the radius.
     ///
     /// Law: it integrates to 1 (test `the_density_is_that_of_the_offsets`).
     #[inline]
@@ -100,7 +101,7 @@ impl Filter {
         }
     }
 
-    /// The table of a filter that has one.
+    /// Returns the table of a filter that has one.
     fn table(self) -> &'static Table {
         static GAUSSIAN: OnceLock<Table> = OnceLock::new();
         static BLACKMAN_HARRIS: OnceLock<Table> = OnceLock::new();
@@ -115,7 +116,7 @@ impl std::fmt::Display for Filter {
     }
 }
 
-/// The name of a filter that does not exist.
+/// An unknown filter name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no filter {0:?}; there are box, triangle, gaussian, blackman-harris")]
 pub struct UnknownFilter(pub String);
@@ -141,7 +142,7 @@ fn lookup(table: &Table, radius: f32, u: [f32; 2]) -> [f32; 2] {
     })
 }
 
-/// Integrates the right half of the filter by the midpoint rule with 64 points a cell; the left half is its mirror.
+/// Integrates the right half of the filter by the midpoint rule with 64 points per cell; the left half is its mirror image.
 fn tabulate(filter: Filter) -> Table {
     const POINTS: usize = 64;
     let width = f64::from(filter.radius()) / (CELLS * POINTS) as f64;
@@ -176,7 +177,7 @@ mod tests {
             for axis in 0..2 {
                 let mut observed = vec![0u64; cells];
                 for i in 0..n {
-                    // One point of each of many pixels: independent, as the test needs.
+                    // One point from each of many pixels, because the test needs independent points.
                     let d = f64::from(filter.sample(SampleStream::new(5, 0, i, 0).next_2d())[axis]);
                     assert!(d.abs() <= radius);
                     observed[(((d / radius + 1.0) / 2.0 * cells as f64) as usize).min(cells - 1)] += 1;

@@ -1,49 +1,50 @@
-//! Images of floats.
+//! Floating-point images.
 
 use femc_math::{Rgb, color};
 
 /// Linear Rec.709 image, luminance in cd/m2; row by row from the top left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
     /// `width * height` pixels.
     pub pixels: Vec<[f32; 3]>,
 }
 
 impl Image {
-    /// An image of one color.
+    /// Creates an image of one color.
     pub fn filled(width: u32, height: u32, color: [f32; 3]) -> Self {
         Self { width, height, pixels: vec![color; width as usize * height as usize] }
     }
 
-    /// Rec.709 luminance of pixel number `at`, cd/m2.
+    /// Returns the Rec.709 luminance of pixel number `at`, cd/m2.
     pub fn luminance(&self, at: usize) -> f32 {
         color::luminance(Rgb::from_array(self.pixels[at]))
     }
 }
 
-/// A resolved frame: the image and what is known about each pixel, all row by row.
+/// A resolved frame: the image and other properties of each pixel, all row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameImage {
     /// Mean of the good samples.
     pub color: Image,
-    /// Estimated variance of that mean, each channel: by the difference of two independent halves of the samples, unbiased, with one
-    /// degree of freedom. For a single sample it is the squared mean.
+    /// Estimated variance of that mean, by channel. It is estimated from the difference of two independent halves of the samples:
+    /// unbiased, with one degree of freedom. For a single sample it is the squared mean.
     pub variance: Vec<[f32; 3]>,
-    /// The same of the luminance, cd2/m4.
+    /// Estimated variance of the mean luminance, cd2/m4.
     pub luminance_variance: Vec<f32>,
-    /// Mean albedo of the first surface (zero where there is none), 0..1.
+    /// Mean albedo of the first surface (zero if there is none), 0..1.
     pub albedo: Vec<[f32; 3]>,
-    /// Mean distance of the first surface over the samples that met one, metres; 0 where none did.
+    /// Mean distance of the first surface over the samples that hit one, meters; 0 if none did.
     pub depth: Vec<f32>,
     /// Number of good samples that count in the mean.
     pub samples: Vec<u32>,
 }
 
-/// BLAKE3 digest of size and pixels: equal for images with the same bits, whatever else their files say.
+/// Computes the BLAKE3 digest of size and pixels, which depends on nothing else in the files: images with the same bits have equal
+/// digests.
 pub fn pixel_digest(image: &Image) -> blake3::Hash {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&image.width.to_le_bytes());

@@ -1,23 +1,23 @@
-//! Exact sums of the layers of a tile, and what is resolved of them.
+//! Exact sums of the layers of a tile, and resolved layers.
 //!
-//! Light that several layers take together is summed up once, by color and half in 128-bit fixed point: 96 bytes a pixel for each set of
-//! layers, and 8 for the counts of samples. A layer is the sum of the sets that it is in. The sums are those of the tile in all that matters:
-//! a sample counts in the layers when it counts in the picture, halves are held from the same sample on and have the same weights. So
-//! layers that part the light of each sample sum up to the picture, within the rounding of floats.
+//! Light that several layers accept is summed up once, by color and half in 128-bit fixed point. This takes 96 bytes per pixel for
+//! each set of layers, and 8 for the counts of samples. A layer is the sum of the sets that it belongs to. The sums follow the
+//! tile's rules: a sample counts in the layers if it counts in the picture, halves are held from the same sample on and have the
+//! same weights. Therefore layers that split the light of each sample sum up to the picture, within the rounding of floats.
 //!
-//! As bytes:
+//! The binary format:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCLAYR`: sums of samples of a tile; `FEMCLPIX`: resolved pixels of several tiles |
-//! | 4 | format version: 2 of sums, 1 of pixels |
+//! | 4 | format version: 2 for sums, 1 for pixels |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 | number of layers, 1 to 64 |
-//! | 7 x 4 | of sums: x, y, width, height; first sample, one past the last; number of sets of layers |
-//! | 8 each | of sums: the sets, ascending, a bit for each layer |
-//! | 5 x 4 | of pixels: film width, film height, tile edge; first tile, one past the last |
-//! | 8 each | of pixels: of each tile its samples, the first, one past the last |
-//! | rest | zstd frame, in byte planes: of sums the counts, then the sets, each row by row; of pixels the layers, tile by tile |
+//! | 7 x 4 | sums: x, y, width, height; first sample, one past the last; number of sets of layers |
+//! | 8 each | sums: the sets, ascending, a bit for each layer |
+//! | 5 x 4 | pixels: film width, film height, tile edge; first tile, one past the last |
+//! | 8 each | pixels: for each tile, its first sample and one past the last |
+//! | rest | zstd frame, in byte planes. Sums: the counts, then the sets, each row by row. Pixels: the layers, tile by tile |
 
 use crate::codec::{begin, finish, from_planes, open, to_planes};
 use crate::piece::{variance_factor, weights};
@@ -35,20 +35,20 @@ const PIXELS_VERSION: u32 = 1;
 const SUM_BYTES: usize = 16 * 3 * HALVES;
 const COUNT_BYTES: usize = 4 * HALVES;
 const PIXEL_BYTES: usize = 4 * 6;
-/// Most layers.
+/// Maximum number of layers.
 const MOST: u32 = 64;
 
-/// Sums of the light of the good samples of one pixel, of each half, cd/m2, without samples that are held.
+/// Sums of the light of the good samples of one pixel, by half, cd/m2, without held samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LightSums(pub [[RadianceSum; 3]; HALVES]);
 
 impl LightSums {
-    /// Adds the samples of `other`, which are others.
+    /// Adds the samples of `other`, which must be different samples.
     fn merge(&mut self, other: &Self) {
         self.0.as_flattened_mut().iter_mut().zip(other.0.as_flattened()).for_each(|(a, b)| a.merge(*b));
     }
 
-    /// As [`Tile`](crate::Tile) resolves its color.
+    /// Resolves the light as [`Tile`](crate::Tile) resolves its color.
     fn resolve(&self, counts: [u32; HALVES], is_held: bool) -> LayerPixel {
         let mean = |half: usize, channel: usize| match counts[half] {
             0 => 0.0,
@@ -77,7 +77,7 @@ impl LightSums {
     }
 }
 
-/// Light of samples of one pixel, on its way into the sums: see [`BufferedSums`].
+/// Buffer for the light of samples of one pixel, see [`BufferedSums`].
 #[derive(Clone, Debug, Default)]
 pub struct LightBuffer([BufferedSums<60, 3>; HALVES]);
 
@@ -88,19 +88,19 @@ impl LightBuffer {
         self.0[half].add(color.to_array());
     }
 
-    /// The light that was added since the last time; `None`: there is none.
+    /// Returns the light that was added since the last call; `None`: there is none.
     pub fn take(&mut self) -> Option<LightSums> {
         let sums = LightSums(std::mem::take(self).0.map(BufferedSums::finish));
         (sums != LightSums::default()).then_some(sums)
     }
 }
 
-/// Light that some layers take together, of all pixels of a tile, row by row.
+/// Light that a set of layers accepts, of all pixels of a tile, row by row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TakenLight {
-    /// The layers, a bit each.
+    /// Set of layers, a bit each.
     pub layers: u64,
-    /// Of each pixel.
+    /// Sums of each pixel.
     pub sums: Vec<LightSums>,
 }
 
@@ -118,13 +118,14 @@ pub struct LayerTile {
     layers: u32,
     /// Good samples of each half that are not held, row by row.
     counts: Vec<[u32; HALVES]>,
-    /// Ascending by the layers, each set of layers once; those without light are left out.
+    /// Light of each set of layers, ascending by set, each set once; sets without light are left out.
     light: Vec<TakenLight>,
 }
 
 impl LayerTile {
-    /// Of the good samples of each half and the light of each pixel, row by row. Sets of layers may come in any order.
-    /// - errors: they are of other pixels, or of other layers.
+    /// Creates a tile from the good samples of each half and the light of each pixel, row by row. Sets of layers may come in any
+    /// order.
+    /// - errors: the data belong to other pixels or other layers.
     pub fn new(
         rect: Rect,
         samples: Range<u32>,
@@ -146,7 +147,7 @@ impl LayerTile {
         }
         let mut tile = Self { rect, samples, layers, counts, light: Vec::new() };
         tile.take(light);
-        // Where many sets overlap the layers themselves are fewer.
+        // If many sets overlap, storing the layers themselves takes less.
         if tile.light.len() > layers as usize {
             for one in std::mem::take(&mut tile.light) {
                 let own = (0..layers).map(|layer| 1 << layer).filter(|layer| one.layers & layer != 0);
@@ -166,24 +167,24 @@ impl LayerTile {
         }
     }
 
-    /// The pixels.
+    /// Returns the pixels.
     pub fn rect(&self) -> Rect {
         self.rect
     }
 
-    /// The samples.
+    /// Returns the samples.
     pub fn samples(&self) -> SampleRange {
         self.samples
     }
 
-    /// Number of layers.
+    /// Returns the number of layers.
     pub fn layers(&self) -> u32 {
         self.layers
     }
 
-    /// The samples of one tile from `begin` on that were rendered in these parts, in any order; a part that is there twice counts once. What is
-    /// before `begin` is left out, the halves are held from `ends` on.
-    /// - errors: parts of different pixels or layers, with a gap, that overlap, or on both sides of an end; none.
+    /// Unites the parts of a tile: its samples from `begin` on. Parts may come in any order, and a repeated part counts once.
+    /// Samples before `begin` are left out, and the halves are held from `ends` on.
+    /// - errors: parts of different pixels or layers, with a gap, overlapping, or with samples on both sides of an end; no parts.
     pub fn united(mut parts: Vec<Self>, begin: u32, ends: Ends) -> Result<Self, FilmError> {
         parts.retain(|part| part.samples.end > begin);
         parts.sort_by_key(|part| part.samples);
@@ -225,7 +226,7 @@ impl LayerTile {
         Ok(())
     }
 
-    /// The pixels of one layer, row by row.
+    /// Returns the pixels of one layer, row by row.
     fn resolve(&self, layer: u32, is_held: bool) -> impl Iterator<Item = LayerPixel> {
         let own: Vec<_> = self.light.iter().filter(|one| one.layers >> layer & 1 == 1).collect();
         self.counts.iter().enumerate().map(move |(at, counts)| {
@@ -235,7 +236,7 @@ impl LayerTile {
         })
     }
 
-    /// The layers as bytes: the same bytes for the same sums.
+    /// Encodes the layers. Equal sums give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         let Rect { x, y, width, height } = self.rect;
         let head = [self.layers, x, y, width, height, self.samples.start, self.samples.end, self.light.len() as u32];
@@ -246,7 +247,7 @@ impl LayerTile {
         finish(out, &planes)
     }
 
-    /// The layers from their bytes; damage of any kind is an error.
+    /// Decodes layers; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let mut reader = open(SUMS, SUMS_VERSION, bytes)?;
         let [layers] = reader.words()?;
@@ -278,7 +279,7 @@ impl LayerTile {
     }
 }
 
-/// All layers, a bit each.
+/// Returns the set of all layers, a bit each.
 fn all_of(layers: u32) -> u64 {
     u64::MAX >> (MOST - layers)
 }
@@ -303,7 +304,7 @@ fn check(layers: u32) -> Result<usize, FilmError> {
     (1..=MOST).contains(&layers).then_some(layers as usize).ok_or(FilmError::Corrupt("impossible number of layers"))
 }
 
-/// What a layer's channels say of a pixel: mean and estimated variance of the mean.
+/// Resolved pixel of a layer: mean and estimated variance of the mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct LayerPixel {
     color: [f32; 3],
@@ -324,26 +325,26 @@ impl LayerPixel {
     }
 }
 
-/// The layers of some tiles of a frame, resolved.
+/// Resolved layers of some tiles of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerPiece {
     tiling: Tiling,
     tiles: Range<usize>,
     layers: u32,
-    /// Of each tile.
+    /// Samples of each tile.
     samples: Vec<SampleRange>,
-    /// Tile by tile, layer by layer, row by row.
+    /// Pixels, tile by tile, layer by layer, row by row.
     pixels: Vec<LayerPixel>,
 }
 
 impl LayerPiece {
-    /// No tiles of a film yet; the first that is put is number `first`.
+    /// Creates a piece without tiles; the first tile added is number `first`.
     pub fn new(tiling: Tiling, first: usize) -> Self {
         Self { tiling, tiles: first..first, layers: 0, samples: Vec::new(), pixels: Vec::new() }
     }
 
-    /// Takes the next tile in.
-    /// - errors: it is another one, or has another number of layers.
+    /// Adds the next tile.
+    /// - errors: it is not the next tile, or it has another number of layers.
     pub fn put(&mut self, tile: &LayerTile, ends: Ends) -> Result<(), FilmError> {
         if self.tiling.rect(self.tiles.end) != Some(tile.rect) {
             return Err(FilmError::NotInFrame(tile.rect));
@@ -358,22 +359,22 @@ impl LayerPiece {
         Ok(())
     }
 
-    /// How the film is cut.
+    /// Returns the tiling of the film.
     pub fn tiling(&self) -> Tiling {
         self.tiling
     }
 
-    /// The tiles.
+    /// Returns the numbers of the tiles.
     pub fn tiles(&self) -> Range<usize> {
         self.tiles.clone()
     }
 
-    /// The samples of each tile.
+    /// Returns the samples of each tile.
     pub fn samples(&self) -> &[SampleRange] {
         &self.samples
     }
 
-    /// The tiles as bytes: the same bytes for the same pixels.
+    /// Encodes the tiles. Equal pixels give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         let Tiling { width, height, edge } = self.tiling;
         let [start, end] = [self.tiles.start, self.tiles.end].map(|tile| tile as u32);
@@ -383,7 +384,7 @@ impl LayerPiece {
         finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
     }
 
-    /// The tiles from their bytes; damage of any kind is an error.
+    /// Decodes tiles; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let mut reader = open(PIXELS, PIXELS_VERSION, bytes)?;
         let [layers] = reader.words()?;
@@ -402,23 +403,23 @@ impl LayerPiece {
 /// One layer of a frame, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerImage {
-    /// What its channels are called.
+    /// Name of its channels.
     pub name: String,
     /// Mean, cd/m2.
     pub color: Vec<[f32; 3]>,
-    /// Estimated variance of that, by channel; see [`FrameImage`](crate::FrameImage).
+    /// Estimated variance of the mean, by channel; see [`FrameImage`](crate::FrameImage).
     pub variance: Vec<[f32; 3]>,
 }
 
 impl LayerImage {
-    /// Black layers of a film.
+    /// Creates black layers of a film.
     pub fn black(names: impl IntoIterator<Item = String>, width: u32, height: u32) -> Vec<Self> {
         let black = vec![[0.0; 3]; width as usize * height as usize];
         names.into_iter().map(|name| Self { name, color: black.clone(), variance: black.clone() }).collect()
     }
 
-    /// Takes the pixels of a piece in.
-    /// - errors: it is of another film or of other layers.
+    /// Copies the pixels of a piece to their place.
+    /// - errors: the piece belongs to another film or to other layers.
     pub fn put(all: &mut [Self], piece: &LayerPiece) -> Result<(), FilmError> {
         let film = piece.tiling.width as usize * piece.tiling.height as usize;
         if all.len() != piece.layers as usize || all.iter().any(|layer| layer.color.len() != film) {

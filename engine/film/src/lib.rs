@@ -1,9 +1,9 @@
-//! The film: what the renderer measured, how partial results become one image, and how images are stored and compared.
+//! The film: samples of the renderer, the merge of partial results into an image, and storage and comparison of images.
 //!
-//! A [`Tile`] holds exact sums of the samples of its pixels (see [`tile`] for the form and its cost); tiles of any sample
-//! ranges and any order merge into a [`Frame`] with the same bits. A frame resolves to a [`FrameImage`] of floats, which is
-//! written as OpenEXR ([`exr`]), measured against a reference ([`metrics`]), and shown through a tone curve ([`tone`]) as
-//! PNG, contact sheet or animated image ([`picture`], [`animation`]).
+//! A [`Tile`] holds exact sums of the samples of its pixels (see [`tile`] for the form and its cost). Tiles of any sample ranges,
+//! in any order, merge into a [`Frame`] with the same bits. A frame resolves to a [`FrameImage`] of floats, which is written as
+//! OpenEXR ([`exr`]), measured against a reference ([`metrics`]), and shown through a tone curve ([`tone`]) as PNG, contact sheet
+//! or animated image ([`picture`], [`animation`]).
 #![deny(missing_docs)]
 
 pub mod animation;

@@ -1,21 +1,21 @@
-//! Images as bytes: PNG files and contact sheets.
+//! 8-bit pictures: PNG files and contact sheets.
 
 use crate::rect::MAX_FILM_PIXELS;
 use crate::{FilmError, Image};
 
-/// sRGB picture of 8 bits a channel, row by row from the top left.
+/// sRGB picture of 8 bits per channel, row by row from the top left.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
     /// `width * height` pixels.
     pub pixels: Vec<[u8; 3]>,
 }
 
 impl Picture {
-    /// The picture as a PNG file; the same bytes for the same picture.
+    /// Encodes the picture as a PNG file; equal pictures give equal bytes.
     pub fn to_png(&self) -> Result<Vec<u8>, FilmError> {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
@@ -29,7 +29,7 @@ impl Picture {
         Ok(bytes)
     }
 
-    /// The picture of a PNG file as [`Picture::to_png`] writes it; any other file is an error.
+    /// Decodes a PNG file as written by [`Picture::to_png`]; any other file is an error.
     pub fn from_png(bytes: &[u8]) -> Result<Self, FilmError> {
         let damaged = |e: png::DecodingError| FilmError::Format { what: "reading PNG", cause: e.to_string() };
         let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().map_err(damaged)?;
@@ -46,13 +46,13 @@ impl Picture {
         Ok(Self { width, height, pixels })
     }
 
-    /// The picture of any PNG file, as painting programs write them: gray or colors, palettes, 1 to 16 bits a channel (of 16 the upper 8
-    /// are kept). What is transparent shows white paper.
+    /// Decodes any PNG file, as painting programs write them: gray or colors, palettes, 1 to 16 bits per channel (the upper 8 of 16
+    /// are kept). Transparent pixels show white paper.
     pub fn from_any_png(bytes: &[u8]) -> Result<Self, FilmError> {
         Self::from_any_png_on_paper(bytes).map(|(picture, _)| picture)
     }
 
-    /// Like [`Self::from_any_png`], with the number of pixels through which the paper shows.
+    /// Decodes like [`Self::from_any_png`], and also returns the number of pixels through which the paper shows.
     pub fn from_any_png_on_paper(bytes: &[u8]) -> Result<(Self, usize), FilmError> {
         let damaged = |e: png::DecodingError| FilmError::Format { what: "reading PNG", cause: e.to_string() };
         let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
@@ -82,7 +82,7 @@ impl Picture {
         Ok((Self { width, height, pixels }, clear))
     }
 
-    /// What is shown in the place of a picture that there is not: gray with a cross.
+    /// Creates a placeholder for a missing picture: gray with a cross.
     pub fn missing(width: u32, height: u32) -> Self {
         const CARD: [u8; 3] = [112; 3];
         const CROSS: [u8; 3] = [48; 3];
@@ -98,8 +98,8 @@ impl Picture {
         Self { width, height, pixels }
     }
 
-    /// The picture shrunk by the smallest whole factor that makes it at most `width` wide: each pixel is the mean of a block (a
-    /// cut block at the right and lower border).
+    /// Shrinks the picture by the smallest whole factor that makes it at most `width` wide. Each pixel is the mean of a block (a
+    /// smaller block at the right and lower border).
     pub fn shrunk_to(&self, width: u32) -> Self {
         let pixels = self.pixels.iter().map(|pixel| pixel.map(f32::from)).collect();
         let small = Image { width: self.width, height: self.height, pixels }.shrunk_to(width);
@@ -109,13 +109,13 @@ impl Picture {
 }
 
 impl Image {
-    /// The image shrunk by the smallest whole factor that makes it at most `width` wide: each pixel is the mean of a block of
-    /// linear pixels (a cut block at the right and lower border).
+    /// Shrinks the image by the smallest whole factor that makes it at most `width` wide. Each pixel is the mean of a block of
+    /// linear pixels (a smaller block at the right and lower border).
     pub fn shrunk_to(&self, width: u32) -> Self {
         self.shrunk_by(self.width.div_ceil(width.max(1)).max(1))
     }
 
-    /// The image shrunk by a whole factor from 1 on, of which blocks the pixels are the means.
+    /// Shrinks the image by a whole factor of at least 1. Each pixel is the mean of a block.
     pub(crate) fn shrunk_by(&self, factor: u32) -> Self {
         let (columns, rows) = (self.width.div_ceil(factor), self.height.div_ceil(factor));
         let block = |x: u32, y: u32| {
@@ -134,10 +134,10 @@ impl Image {
     }
 }
 
-/// Columns of a contact sheet: as many as rows, or one more.
+/// Value for the columns of a contact sheet that stands for as many columns as rows, or one more.
 pub const NEARLY_SQUARE: u32 = 0;
-/// Width of each of `count` frames' pictures on a contact sheet, pixels: 320, less where there are some hundreds, so that the sheet of
-/// any clip has about 2^25 square pixels at most.
+/// Returns the width of each of `count` frames' pictures on a contact sheet, pixels. It is 320, or less for several hundred frames,
+/// so that the sheet of any clip has at most about 2^25 square pixels.
 pub fn sheet_width(count: u32) -> u32 {
     const MOST: u32 = 1 << 25;
     (MOST / count.max(1)).isqrt().clamp(16, 320)
@@ -145,11 +145,11 @@ pub fn sheet_width(count: u32) -> u32 {
 
 /// Pixels between and around the pictures of a contact sheet.
 const GAP: u32 = 4;
-/// The sheet's paper.
+/// Background color of the sheet.
 const PAPER: [u8; 3] = [24, 24, 24];
 
-/// Lays `pictures` out in rows of `columns` ([`NEARLY_SQUARE`]: as many as there are rows), each in a cell of the largest size, with small gaps.
-/// No pictures give a sheet of paper of one gap.
+/// Lays out `pictures` in rows of `columns` ([`NEARLY_SQUARE`]: as many columns as rows), each in a cell of the largest size, with
+/// small gaps. Without pictures, the sheet is empty and one gap in size.
 pub fn contact_sheet(pictures: &[Picture], columns: u32) -> Picture {
     let count = pictures.len() as u32;
     let columns = if columns == 0 { (1..=count).find(|c| c * c >= count).unwrap_or(0) } else { columns.min(count) };

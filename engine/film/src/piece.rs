@@ -1,15 +1,15 @@
 //! Resolved pixels, and pieces of a frame that is resolved in several places.
 //!
-//! A [`Piece`] is what an image needs of some tiles: 48 bytes a pixel instead of the 236 of exact sums. Nothing can be added
-//! to it. As bytes:
+//! A [`Piece`] is the part of an image that some tiles cover: 48 bytes per pixel instead of the 236 of exact sums. No samples can
+//! be added to it. The binary format:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCPIEC` |
 //! | 4 | format version, 3 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 5 x 4 | film width, film height, tile edge; first tile, one past the last |
-//! | 8 each | of each tile its samples: the first, one past the last |
+//! | 8 each | for each tile, its first sample and one past the last |
 //! | | bad samples, as in a tile ([`crate::codec`]) |
 //! | rest | zstd frame of the pixels in the order of the tiles, in byte planes |
 
@@ -24,7 +24,7 @@ const VERSION: u32 = 3;
 const WORDS: usize = 12;
 const PIXEL_BYTES: usize = 4 * WORDS;
 
-/// What an image says of a pixel; see [`FrameImage`].
+/// A resolved pixel of an image; see [`FrameImage`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Pixel {
     pub(crate) color: [f32; 3],
@@ -36,9 +36,9 @@ pub(crate) struct Pixel {
 }
 
 impl PixelSums {
-    /// Means and the variance of the mean; zero without samples.
-    /// - `is_held`: whether a half of the tile is held. The halves have the weight 1/2 then, since their counts tell of their samples;
-    ///   otherwise every good sample has the same weight.
+    /// Computes means and the variance of the mean; zero without samples.
+    /// - `is_held`: whether a half of the tile is held. If so, each half has the weight 1/2, because the counts depend on the
+    ///   sample values; otherwise every good sample has the same weight.
     pub(crate) fn resolve(&self, is_held: bool) -> Pixel {
         let samples = self.samples();
         let mut pixel = Pixel { samples: self.counted(), ..Pixel::default() };
@@ -65,7 +65,7 @@ impl PixelSums {
     }
 }
 
-/// The weights of the halves in the image, by their counts of samples. What one half alone tells has the weight 1.
+/// Returns the weights of the halves in the image, by their counts of samples. If only one half has samples, its weight is 1.
 pub(crate) fn weights(count: [u32; HALVES], is_held: bool) -> [f64; HALVES] {
     let [a, b] = count.map(f64::from);
     match (a > 0.0, b > 0.0) {
@@ -75,8 +75,8 @@ pub(crate) fn weights(count: [u32; HALVES], is_held: bool) -> [f64; HALVES] {
     }
 }
 
-/// What the square of the halves' difference is to be multiplied by to be an unbiased estimate of the variance of the mean with these
-/// weights. One half alone tells nothing: its squared mean stands in for the variance (a relative error of 1).
+/// Returns the factor that turns the squared difference of the halves into an unbiased estimate of the variance of the mean with
+/// these weights. A single half has no such estimate: its squared mean stands in for the variance (a relative error of 1).
 pub(crate) fn variance_factor(count: [u32; HALVES], is_held: bool) -> f64 {
     let [a, b] = count.map(f64::from);
     match (a > 0.0, b > 0.0) {
@@ -110,21 +110,21 @@ impl Pixel {
     }
 }
 
-/// Some tiles of a frame, resolved; each holds its own number of samples.
+/// Some resolved tiles of a frame; each has its own number of samples.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Piece {
     tiling: Tiling,
     tiles: Range<usize>,
-    /// Of each tile.
+    /// Samples of each tile.
     samples: Vec<SampleRange>,
     bad: BadSamples,
-    /// Tile by tile, row by row.
+    /// Pixels, tile by tile, row by row.
     pixels: Vec<Pixel>,
 }
 
 impl Piece {
-    /// These tiles of `frame`.
-    /// - errors: there are none; the frame has fewer tiles; one has no samples, or a gap in them.
+    /// Resolves these tiles of `frame`.
+    /// - errors: the range is empty; the frame has fewer tiles; a tile has no samples, or a gap in them.
     pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
         if tiles.is_empty() {
             return Err(FilmError::Corrupt("a group of no tiles"));
@@ -145,27 +145,27 @@ impl Piece {
         Ok(piece)
     }
 
-    /// Numbers of its tiles.
+    /// Returns the numbers of its tiles.
     pub fn tiles(&self) -> Range<usize> {
         self.tiles.clone()
     }
 
-    /// How its film is cut.
+    /// Returns the tiling of its film.
     pub fn tiling(&self) -> Tiling {
         self.tiling
     }
 
-    /// The samples of each of its tiles.
+    /// Returns the samples of each of its tiles.
     pub fn samples(&self) -> &[SampleRange] {
         &self.samples
     }
 
-    /// Account of the samples that were left out.
+    /// Returns the account of the samples that were left out.
     pub fn bad(&self) -> &BadSamples {
         &self.bad
     }
 
-    /// The piece as bytes: the same bytes for the same pixels.
+    /// Encodes the piece. Equal pixels give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = begin(MAGIC, VERSION);
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
@@ -176,7 +176,7 @@ impl Piece {
         finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
     }
 
-    /// The piece from its bytes; damage of any kind is an error.
+    /// Decodes a piece; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let mut reader = open(MAGIC, VERSION, bytes)?;
         let (tiling, tiles) = reader.tiles()?;
@@ -196,7 +196,7 @@ impl Piece {
     }
 }
 
-/// Tile `index` of a frame, and its samples as one range.
+/// Returns tile `index` of a frame, and its samples as one range.
 /// - errors: the frame has fewer tiles; this one has no samples, or a gap in them.
 pub(crate) fn whole(frame: &Frame, index: usize) -> Result<(&Tile, SampleRange), FilmError> {
     let rect = frame.tiling().rect(index).ok_or(FilmError::Corrupt("more tiles than the film has"))?;
@@ -205,7 +205,7 @@ pub(crate) fn whole(frame: &Frame, index: usize) -> Result<(&Tile, SampleRange),
 }
 
 impl FrameImage {
-    /// An image without samples.
+    /// Creates an image without samples.
     pub fn black(width: u32, height: u32) -> Self {
         let count = width as usize * height as usize;
         Self {
@@ -218,8 +218,8 @@ impl FrameImage {
         }
     }
 
-    /// Puts the pixels of `piece` in their place, over what is there.
-    /// - errors: the piece is of a film of another size.
+    /// Copies the pixels of `piece` to their place, replacing earlier ones.
+    /// - errors: the piece belongs to a film of another size.
     pub fn put(&mut self, piece: &Piece) -> Result<(), FilmError> {
         let Tiling { width, height, .. } = piece.tiling;
         let own = Rect { x: 0, y: 0, width: self.color.width, height: self.color.height };
@@ -233,7 +233,7 @@ impl FrameImage {
         Ok(())
     }
 
-    /// Samples a pixel, averaged over the film; left-out samples do not count.
+    /// Returns the mean number of samples per pixel over the film; left-out samples do not count.
     pub fn mean_spp(&self) -> f64 {
         let total: u64 = self.samples.iter().map(|&count| u64::from(count)).sum();
         total as f64 / (f64::from(self.color.width) * f64::from(self.color.height))

@@ -1,22 +1,23 @@
-//! Error of single pixels, by their own account.
+//! Error estimates of single pixels, from the image's own samples.
 //!
-//! The estimated variance of a pixel has one degree of freedom ([`crate::image::FrameImage`]): Student's interval is 12.7 standard errors
-//! wide to either side. So the estimates of a pixel and its neighbors are pooled, which gives up to nine degrees of freedom. Neighbors
-//! differ in brightness and in their numbers of samples; what they have in common is the variance of a sample relative to the luminance,
-//! as if all light came in samples of one size that are met more often where it is brighter. The pool of absolute variances gives dark
-//! pixels beside bright ones the noise of these. The pool of variances relative to the squared luminance holds the truth too seldom
-//! where bright samples are rare, because the pixel that has met none of them is also the darker one.
+//! The estimated variance of a pixel has one degree of freedom ([`crate::image::FrameImage`]), so Student's interval is 12.7
+//! standard errors wide to either side. Therefore the estimates of a pixel and its neighbors are pooled, which gives up to nine
+//! degrees of freedom. Neighbors differ in brightness and in their numbers of samples. Their common property is the variance of a
+//! sample relative to the luminance, as if all light came in samples of one size, which are more frequent where it is brighter. Two
+//! other pools are worse. Pooled absolute variances give dark pixels beside bright ones the noise of the bright ones. Pooled
+//! variances relative to the squared luminance contain the truth too seldom where bright samples are rare, because a pixel without
+//! a bright sample is also the darker one.
 
-/// Channels of an image that the errors of its pixels are made of, row by row.
+/// Channels of an image from which the errors of its pixels are estimated, row by row.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelChannels<'a> {
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
     /// Luminance, cd/m2.
     pub luminance: &'a [f32],
     /// Estimated variance of the luminance, from two halves, cd2/m4.
     pub variance: &'a [f32],
-    /// Samples that the luminance is made of.
+    /// Number of samples in the luminance.
     pub samples: &'a [f32],
 }
 
@@ -25,23 +26,23 @@ pub struct PixelChannels<'a> {
 pub struct PixelError {
     /// Standard error of the luminance, relative to it.
     pub standard_error: f64,
-    /// Degrees of freedom of the standard error: pixels in the pool.
+    /// Degrees of freedom of the standard error: the number of pixels in the pool.
     pub freedom: u8,
 }
 
 impl PixelError {
-    /// Half width of the 95 % interval of the pixel's luminance, relative to it.
+    /// Returns the half width of the 95 % interval of the pixel's luminance, relative to it.
     pub fn half_width(&self) -> f64 {
         crate::convergence::student_95(f64::from(self.freedom)) * self.standard_error
     }
 }
 
-/// Errors of all pixels, row by row. `None`: the pixel is unlit, or has fewer than two samples.
+/// Estimates the errors of all pixels, row by row. `None`: the pixel is unlit, or has fewer than two samples.
 pub fn pixel_errors(channels: PixelChannels<'_>) -> Vec<Option<PixelError>> {
     let PixelChannels { width, luminance, variance, samples } = channels;
     let height = luminance.len() / width.max(1);
     let is_known = |at: usize| luminance[at] > 0.0 && samples[at] >= 2.0 && variance[at].is_finite();
-    // Variance of a sample, over the luminance.
+    // Variance of a sample, divided by the luminance.
     let dispersion = |at: usize| f64::from(variance[at]) * f64::from(samples[at]) / f64::from(luminance[at]);
     let error = |at: usize| {
         let (x, y) = (at % width, at / width);
@@ -76,7 +77,7 @@ mod tests {
 
     #[test]
     fn the_pool_is_in_units_of_a_sample_and_of_the_luminance() {
-        // The right pixel has four times the samples and nine times the light: 4/9 of its variance would be the left one's.
+        // The right pixel has four times the samples and nine times the light, so the left pixel would have 4/9 of its variance.
         let all = errors(2, &[1.0, 9.0], &[0.01, 0.0225], &[16.0, 64.0]);
         let [left, right] = [all[0].unwrap(), all[1].unwrap()];
         assert_eq!((left.freedom, right.freedom), (2, 2));

@@ -1,9 +1,9 @@
-//! Pixel rectangles and the cut of a film into tiles.
+//! Pixel rectangles and the division of a film into tiles.
 
 use crate::FilmError;
 use serde::{Deserialize, Serialize};
 
-/// Largest number of pixels of a film (8192 x 8192).
+/// Maximum number of pixels of a film (8192 x 8192).
 pub const MAX_FILM_PIXELS: u64 = 1 << 26;
 
 /// Pixels `x .. x + width`, `y .. y + height` of a film; y points down, (0, 0) is the top left pixel.
@@ -13,25 +13,25 @@ pub struct Rect {
     pub x: u32,
     /// Top row.
     pub y: u32,
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
 }
 
 impl Rect {
-    /// Number of pixels.
+    /// Returns the number of pixels.
     pub fn area(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height)
     }
 
-    /// Whether the pixel (`x`, `y`) of the film is one of these.
+    /// Checks whether the rectangle contains the pixel (`x`, `y`) of the film.
     #[inline]
     pub fn contains(&self, x: u32, y: u32) -> bool {
         x.wrapping_sub(self.x) < self.width && y.wrapping_sub(self.y) < self.height
     }
 
-    /// The pixels (x, y) of the film, row by row.
+    /// Returns the pixels (x, y) of the film, row by row.
     pub fn pixels(self) -> impl Iterator<Item = (u32, u32)> {
         (0..self.height).flat_map(move |y| (0..self.width).map(move |x| (self.x + x, self.y + y)))
     }
@@ -51,7 +51,8 @@ impl std::fmt::Display for Rect {
     }
 }
 
-/// A film cut into square tiles, row by row from the top left; the last ones of a row and the last row may be smaller.
+/// Division of a film into square tiles, row by row from the top left; the last tiles of a row and those of the last row may be
+/// smaller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Tiling {
     /// Film width, pixels.
@@ -63,19 +64,19 @@ pub struct Tiling {
 }
 
 impl Tiling {
-    /// Checks that film and tiles hold pixels and no more than the limits.
+    /// Creates a tiling. Checks that the numbers of pixels of film and tiles are positive and within the limits.
     pub fn new(width: u32, height: u32, edge: u32) -> Result<Self, FilmError> {
         Rect { x: 0, y: 0, width, height }.check(MAX_FILM_PIXELS)?;
         Rect { x: 0, y: 0, width: edge.min(width), height: edge.min(height) }.check(crate::tile::MAX_TILE_PIXELS)?;
         Ok(Self { width, height, edge })
     }
 
-    /// Number of tiles.
+    /// Returns the number of tiles.
     pub fn count(&self) -> usize {
         self.columns() as usize * self.height.div_ceil(self.edge) as usize
     }
 
-    /// Pixels of tile `index`, `None` past the last one.
+    /// Returns the pixels of tile `index`; `None` past the last one.
     pub fn rect(&self, index: usize) -> Option<Rect> {
         if index >= self.count() {
             return None;
@@ -85,12 +86,12 @@ impl Tiling {
         Some(Rect { x, y, width: self.edge.min(self.width - x), height: self.edge.min(self.height - y) })
     }
 
-    /// All tiles in order.
+    /// Returns all tiles in order.
     pub fn rects(self) -> impl Iterator<Item = Rect> {
         (0..self.count()).filter_map(move |i| self.rect(i))
     }
 
-    /// The tile that has just these pixels.
+    /// Returns the tile with exactly these pixels.
     pub fn index_of(&self, rect: Rect) -> Option<usize> {
         let index =
             rect.y as usize / self.edge as usize * self.columns() as usize + rect.x as usize / self.edge as usize;

@@ -1,4 +1,4 @@
-//! One sample of one pixel, and the account of samples that could not be used.
+//! One sample of one pixel, and the account of unusable samples.
 
 use femc_math::Rgb;
 use serde::{Deserialize, Serialize};
@@ -6,22 +6,22 @@ use serde::{Deserialize, Serialize};
 /// Largest usable radiance of a sample, cd/m2: 2^40; the sun's disc has 1.6e9.
 pub const MAX_RADIANCE: f32 = 1_099_511_627_776.0;
 
-/// What one camera path measured.
+/// The result of one camera path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Radiance towards the camera, linear Rec.709, luminance in cd/m2. Contains the path's weight.
+    /// Radiance toward the camera, linear Rec.709, luminance in cd/m2. Includes the path's weight.
     pub color: Rgb,
-    /// Albedo of the first surface, 0..1; zero when there is none.
+    /// Albedo of the first surface, 0..1; zero if there is none.
     pub albedo: Rgb,
-    /// Distance of the first surface from the camera, metres; infinite when there is none.
+    /// Distance of the first surface from the camera, meters; infinite if there is none.
     pub depth: f32,
 }
 
 impl Sample {
-    /// A path that met nothing.
+    /// Sample of a path without a hit.
     pub const MISS: Self = Self { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
 
-    /// What makes the sample unusable, the worst first.
+    /// Returns the reason why the sample is unusable, the worst one first.
     #[inline]
     pub fn fault(&self) -> Option<BadKind> {
         let smallest = self.color.min_element().min(self.albedo.min_element()).min(self.depth);
@@ -50,7 +50,7 @@ impl Sample {
     }
 }
 
-/// Why a sample was left out.
+/// Reason why a sample was left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BadKind {
@@ -69,7 +69,7 @@ impl BadKind {
     pub const ALL: [Self; 4] = [Self::NotANumber, Self::Infinite, Self::Negative, Self::OutOfRange];
 }
 
-/// Where a bad sample was drawn: enough to draw it again. Ordered by row, column and sample.
+/// Position of a bad sample, sufficient to draw it again. Ordered by row, column and sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct BadSample {
     /// Row of the film.
@@ -78,37 +78,37 @@ pub struct BadSample {
     pub x: u32,
     /// Sample index in the pixel.
     pub sample: u32,
-    /// What was wrong.
+    /// Reason why it was left out.
     pub kind: BadKind,
 }
 
 /// Account of the samples that were left out. Merging is associative and commutative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct BadSamples {
-    /// How many of each kind, in the order of [`BadKind::ALL`].
+    /// Number of samples of each kind, in the order of [`BadKind::ALL`].
     pub counts: [u64; 4],
-    /// The first by row, column and sample.
+    /// First bad sample by row, column and sample.
     pub first: Option<BadSample>,
 }
 
 impl BadSamples {
-    /// Number of all bad samples.
+    /// Returns the number of all bad samples.
     pub fn total(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// Number of bad samples of one kind.
+    /// Returns the number of bad samples of one kind.
     pub fn count(&self, kind: BadKind) -> u64 {
         self.counts[kind as usize]
     }
 
-    /// Takes one in.
+    /// Adds a bad sample.
     pub fn add(&mut self, bad: BadSample) {
         self.counts[bad.kind as usize] += 1;
         self.first = Some(self.first.map_or(bad, |first| first.min(bad)));
     }
 
-    /// Takes all of `other` in.
+    /// Adds all bad samples of `other`.
     pub fn merge(&mut self, other: &Self) {
         for (mine, theirs) in self.counts.iter_mut().zip(other.counts) {
             *mine = mine.saturating_add(theirs);

@@ -1,6 +1,6 @@
-//! Contact sheets with words: rows of pictures, each row under a title and each picture over a caption.
+//! Contact sheets with text: rows of pictures, with a title for each row and a caption for each picture.
 //!
-//! The letters are those of Noto Sans Mono, 16 pixels high; what a font of Latin letters does not have shows as `?`.
+//! The font is Noto Sans Mono, 16 pixels high; characters that are not in this Latin font show as `?`.
 
 use crate::Picture;
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, RasterizedChar, get_raster};
@@ -8,18 +8,18 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, RasterizedChar, get_raster
 /// A row of pictures.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SheetRow {
-    /// Above the row; empty: no line is left for it.
+    /// Title above the row; empty: no line is reserved for it.
     pub title: String,
-    /// From left to right.
+    /// Cells from left to right.
     pub cells: Vec<SheetCell>,
 }
 
-/// A picture and what it shows.
+/// A picture and its caption.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SheetCell {
     /// The picture.
     pub picture: Picture,
-    /// Below it; cut where the picture's cell ends.
+    /// Caption below the picture; cut off at the end of the cell.
     pub caption: String,
 }
 
@@ -27,7 +27,7 @@ pub struct SheetCell {
 const GAP: u32 = 6;
 /// Height of a line of text, pixels.
 const LINE: u32 = 18;
-/// Least width of a cell, pixels: captions of a dozen letters.
+/// Minimum width of a cell, pixels: captions of a dozen letters.
 const NARROWEST: u32 = 96;
 const WEIGHT: FontWeight = FontWeight::Regular;
 const HEIGHT: RasterHeight = RasterHeight::Size16;
@@ -35,7 +35,7 @@ const PAPER: [u8; 3] = [24, 24, 24];
 const TITLE: [u8; 3] = [255, 255, 255];
 const CAPTION: [u8; 3] = [176, 176, 176];
 
-/// Lays out `rows`, every picture in a cell of the largest one's size. No rows give a sheet of paper of one gap.
+/// Lays out `rows`, with every picture in a cell of the largest one's size. Without rows, the sheet is empty and one gap in size.
 pub fn labelled_sheet(rows: &[SheetRow]) -> Picture {
     let cells = || rows.iter().flat_map(|row| &row.cells);
     let cell_width = cells().map(|cell| cell.picture.width).max().unwrap_or(0).max(NARROWEST);
@@ -66,7 +66,7 @@ fn picture_height(row: &SheetRow) -> u32 {
     row.cells.iter().map(|cell| cell.picture.height).max().unwrap_or(0)
 }
 
-/// Of a row with the gap below it.
+/// Returns the height of a row, including the gap below it.
 fn height(row: &SheetRow) -> u32 {
     let title = if row.title.is_empty() { 0 } else { LINE };
     let captions = if row.cells.iter().all(|cell| cell.caption.is_empty()) { 0 } else { LINE };
@@ -86,7 +86,7 @@ impl Picture {
         }
     }
 
-    /// Writes a line of text, as many of its letters as end before `right`.
+    /// Writes a line of text; letters that would not end before `right` are left out.
     fn write(&mut self, text: &str, [left, top]: [u32; 2], right: u32, ink: [u8; 3]) {
         let mut x = left;
         for c in text.chars() {
@@ -104,7 +104,7 @@ impl Picture {
     }
 }
 
-/// `ink` over `paper`; `cover`: 255 hides the paper.
+/// Blends `ink` over `paper`; a `cover` of 255 hides the paper.
 fn mixed(paper: [u8; 3], ink: [u8; 3], cover: u8) -> [u8; 3] {
     let cover = u16::from(cover);
     std::array::from_fn(|i| ((u16::from(paper[i]) * (255 - cover) + u16::from(ink[i]) * cover) / 255) as u8)

@@ -1,13 +1,14 @@
-//! Where the halves of a frame's tiles end, and what dark blocks are measured against: what one decision leaves to the next.
+//! State that one decision on a frame's samples passes to the next: the ends of the tiles' halves, and the reference luminance of
+//! dark blocks.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCSTOP` |
 //! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
-//! | 2 x 8 | for each half its floor, a double |
-//! | 4 + 4 x 8 | the first sample that counts; seconds until this decision, a double, and rays until then; the same of the pilot |
-//! | rest | zstd frame of the ends, 2 x 4 bytes a tile, and the shares, a double a tile, in byte planes |
+//! | 2 x 8 | floor of each half, a double |
+//! | 4 + 4 x 8 | the first sample that counts; seconds until this decision, a double, and rays until then; seconds and rays of the pilot |
+//! | rest | zstd frame of the ends, 2 x 4 bytes per tile, and the shares, a double per tile, in byte planes |
 
 use crate::codec::{begin, finish, open, to_planes, words_of};
 use crate::convergence::FLOOR;
@@ -17,35 +18,35 @@ use crate::{FilmError, TileErrors};
 const MAGIC: &[u8; 8] = b"FEMCSTOP";
 const VERSION: u32 = 2;
 
-/// What one decision on a frame's samples leaves to the next.
+/// State that one decision on a frame's samples passes to the next.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stops {
-    /// For the errors that each half tells: luminance that darker blocks are measured against, cd/m2, by the first round's samples of
-    /// the same half.
+    /// Reference luminance of darker blocks in the errors of each half, cd/m2, from the first round's samples of the same half.
     pub floors: [f64; HALVES],
-    /// Of each tile, in order.
+    /// Ends of the halves of each tile, in order.
     pub ends: Vec<Ends>,
-    /// For a frame that ends by the clock.
+    /// Progress of a frame with a time limit.
     pub pace: Pace,
 }
 
-/// How a frame that ends by the clock gets on.
+/// Progress of a frame with a time limit.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pace {
-    /// The first sample that counts in the image: those before were a pilot, which only said how to divide the others.
+    /// First sample that counts in the image. Earlier samples were a pilot, which only determined how to divide the others.
     pub begin: u32,
     /// Seconds from the frame's first lease until the decision.
     pub seconds: f64,
-    /// Rays traced until then for the samples that count.
+    /// Rays traced until the decision for the samples that count.
     pub work: u64,
-    /// Seconds of the round that ended the pilot, and its rays; zeros before it and where there is none.
+    /// Seconds of the round that ended the pilot, and its rays; zeros before that, and without a pilot.
     pub pilot: (f64, u64),
-    /// Samples of each tile as a share of the mean tile's; empty while that is not decided.
+    /// Samples of each tile as a fraction of the mean over tiles; empty until this is decided.
     pub shares: Vec<f64>,
 }
 
 impl Stops {
-    /// After the first round, of which these are the errors: nothing has ended, and the floor is a hundredth of the frame's mean.
+    /// Creates the state after the first round from its errors: nothing has ended, and the floor is a hundredth of the frame's
+    /// mean.
     pub fn first(tiles: &[TileErrors]) -> Self {
         let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
         let pixels = blocks().map(|it| it.block.rect.area()).sum::<u64>().max(1) as f64;
@@ -53,7 +54,7 @@ impl Stops {
         Self { floors: std::array::from_fn(floor), ends: vec![OPEN; tiles.len()], pace: Pace::default() }
     }
 
-    /// The stops as bytes: the same bytes for the same stops.
+    /// Encodes the stops. Equal stops give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         let Pace { begin: first, seconds, work, pilot, shares } = &self.pace;
         let mut out = begin(MAGIC, VERSION);
@@ -67,8 +68,8 @@ impl Stops {
         finish(out, &to_planes(&tiles, to_bytes))
     }
 
-    /// The stops from their bytes; damage of any kind is an error.
-    /// - `tiles`: of the frame.
+    /// Decodes stops; damage of any kind is an error.
+    /// - `tiles`: number of tiles of the frame.
     pub fn decode(bytes: &[u8], tiles: usize) -> Result<Self, FilmError> {
         let mut reader = open(MAGIC, VERSION, bytes)?;
         let mut floors = [0.0; HALVES];

@@ -1,10 +1,10 @@
-//! Thumbnails, exact sums in blocks of 8 x 8 pixels, and levels, the luminances of blocks counted in bins.
+//! Thumbnails, which are exact sums in blocks of 8 x 8 pixels, and levels, which are luminance histograms of blocks.
 //!
-//! Both are integers, so the levels of a clip are the same whatever parts its tiles came in and in whatever order frames were
-//! counted. One exposure for a clip ([`crate::ToneCurve::of_levels`]) follows from them without a look at an image. As bytes a
-//! thumbnail is like a tile ([`crate::codec`]), and levels are
+//! Both are integers, so the levels of a clip do not depend on the parts of its tiles or on the order in which frames were counted.
+//! They give one exposure for a clip ([`crate::ToneCurve::of_levels`]) without reading an image. The binary format of a thumbnail
+//! is like that of a tile ([`crate::codec`]). The format of levels is
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCLEVL` |
 //! | 4 | format version, 1 |
@@ -20,10 +20,10 @@ use femc_math::elementary::double;
 pub const BLOCK: u32 = 8;
 
 impl Tile {
-    /// The tile's sums in blocks of [`BLOCK`] x [`BLOCK`] pixels of the film: a tile of the film that is so many times smaller.
-    /// Bad samples are in the sums of neither. The thumbnail of a merge is the merge of the thumbnails (test
+    /// Returns the tile's sums in blocks of [`BLOCK`] x [`BLOCK`] pixels of the film: a tile of a smaller film. Bad samples are in
+    /// the sums of neither tile. The thumbnail of a merge is the merge of the thumbnails (test
     /// `the_thumbnails_of_a_tile_s_parts_add_up_to_its_own_in_any_cut`).
-    /// - the tile begins at whole blocks, as those of a tiling do that has [`Tiling::of_thumbnails`].
+    /// - the tile must begin at whole blocks, like those of a tiling that has [`Tiling::of_thumbnails`].
     pub fn thumbnail(&self) -> Self {
         let Rect { x, y, width, height } = self.rect;
         let (left, top) = (x / BLOCK, y / BLOCK);
@@ -42,7 +42,7 @@ impl Tile {
 }
 
 impl Tiling {
-    /// How the thumbnails of its tiles cut the small film; `None`: a tile is no whole number of blocks wide.
+    /// Returns the tiling of the small film by the thumbnails of the tiles; `None`: the tile width is not a whole number of blocks.
     pub fn of_thumbnails(self) -> Option<Self> {
         let Self { width, height, edge } = self;
         let small = Self { width: width.div_ceil(BLOCK), height: height.div_ceil(BLOCK), edge: edge / BLOCK };
@@ -50,24 +50,24 @@ impl Tiling {
     }
 }
 
-/// Blocks of pixels, counted by their luminance: black ones, and the others in bins of a 16th of an octave from 2^-40 to 2^40
-/// cd/m2. What is beyond the bins counts in the first or the last.
+/// Luminance histogram of blocks of pixels: black blocks, and bins of a 16th of an octave from 2^-40 to 2^40 cd/m2. Luminances
+/// beyond the bins count in the first or the last.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Levels {
-    /// Black blocks, then a count for each bin.
+    /// Number of black blocks, then a count for each bin.
     counts: Vec<u64>,
 }
 
 impl Levels {
     const MAGIC: &'static [u8; 8] = b"FEMCLEVL";
     const VERSION: u32 = 1;
-    /// Bins of an octave.
+    /// Number of bins in an octave.
     const OCTAVE: f64 = 16.0;
-    /// The first bin begins here, octaves above 1 cd/m2.
+    /// Start of the first bin, octaves above 1 cd/m2.
     const LOWEST: f64 = -40.0;
     const BINS: usize = 80 * 16;
 
-    /// The levels of the blocks that thumbnails hold; a block without a good sample is not counted.
+    /// Counts the blocks of thumbnails; a block without a good sample is not counted.
     pub fn of(thumbnails: &Frame) -> Self {
         let mut levels = Self::default();
         let tiles = (0..thumbnails.tiling().count()).filter_map(|index| thumbnails.tile(index));
@@ -78,15 +78,15 @@ impl Levels {
         levels
     }
 
-    /// The levels of a finished image, for those who have nothing else: its pixels are rounded, so a block may count in a bin next
-    /// to that of its thumbnail.
+    /// Counts the blocks of a finished image, for callers without thumbnails. The image's pixels are rounded, so a block may count
+    /// in a bin next to that of its thumbnail.
     pub fn of_image(image: &Image) -> Self {
         let (small, mut levels) = (image.shrunk_by(BLOCK), Self::default());
         (0..small.pixels.len()).for_each(|at| levels.counts[Self::bin(small.luminance(at).into())] += 1);
         levels
     }
 
-    /// The place of a luminance in the counts.
+    /// Returns the index of a luminance in the counts.
     fn bin(luminance: f64) -> usize {
         if luminance > 0.0 {
             let bin = ((double::log2(luminance) - Self::LOWEST) * Self::OCTAVE).floor();
@@ -95,29 +95,29 @@ impl Levels {
         0
     }
 
-    /// Counts those of `other`, too. Associative and commutative.
+    /// Adds the counts of `other`. Associative and commutative.
     pub fn merge(&mut self, other: &Self) {
         self.counts.iter_mut().zip(&other.counts).for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
     }
 
-    /// The luminance in the middle of each bin that has blocks, cd/m2, and how many it has; without the black ones.
+    /// Returns the luminance in the middle of each bin that has blocks, cd/m2, and the number of its blocks; without black blocks.
     pub fn lit(&self) -> impl Iterator<Item = (f64, u64)> + Clone + '_ {
         let middle = |bin: usize| double::pow(2.0, (bin as f64 + 0.5) / Self::OCTAVE + Self::LOWEST);
         let bins = self.counts[1..].iter().enumerate().filter(|(_, count)| **count > 0);
         bins.map(move |(bin, &count)| (middle(bin), count))
     }
 
-    /// How many blocks are counted.
+    /// Returns the number of counted blocks.
     pub fn blocks(&self) -> u64 {
         self.counts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    /// The levels as bytes: the same bytes for the same counts.
+    /// Encodes the levels. Equal counts give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         finish(begin(Self::MAGIC, Self::VERSION), &to_planes(&self.counts, |count| count.to_le_bytes()))
     }
 
-    /// The levels from their bytes; damage of any kind is an error.
+    /// Decodes levels; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let reader = open(Self::MAGIC, Self::VERSION, bytes)?;
         Ok(Self { counts: reader.planes(1 + Self::BINS, |bytes| u64::from_le_bytes(*bytes))? })

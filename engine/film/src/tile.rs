@@ -1,17 +1,18 @@
 //! Exact sums of the samples of a rectangle of pixels.
 //!
-//! Per pixel: the sums of color in 128-bit fixed point, of albedo in 64-bit and of depth in 128-bit fixed point, and counts; and
-//! of what further samples are decided by, the luminances ([`PixelSums`], 236 bytes). A term is rounded once and added as an
-//! integer, so a tile is a function of the set of its samples; threads, order, tile cut and restarts leave no trace. Against floats
-//! this costs 236 instead of some 60 bytes a pixel and a few nanoseconds a sample.
+//! Each pixel stores the sums of color in 128-bit fixed point, of albedo in 64-bit and of depth in 128-bit fixed point, and counts.
+//! It also stores the luminances that decide on further samples ([`PixelSums`], 236 bytes). A term is rounded once and added as an
+//! integer, so a tile is a function of the set of its samples; it does not depend on threads, order, tile division or restarts.
+//! Compared to floats, this costs 236 instead of some 60 bytes per pixel, and a few nanoseconds per sample.
 //!
-//! The samples belong to independent **replicates** ([`femc_math::sampler`]), two for each **half**: the halves' means tell the
-//! variance of the image, and the replicates of a half that of the half. Whether a half has samples enough is decided by the other
-//! one alone, so that what is decided says nothing about the samples that it is decided for: the mean of each half is unbiased, and
-//! so is the image, in which both have the weight 1/2. A half that has enough is **held**: more of its samples are drawn, because the
-//! other half is decided by them, but they do not count in the image.
+//! The samples belong to independent **replicates** ([`femc_math::sampler`]), two for each **half**. The halves' means give the
+//! variance of the image, and the replicates of a half give the variance of the half. Only the other half decides whether a half
+//! has enough samples. The decision is therefore independent of the samples that it concerns: the mean of each half is unbiased,
+//! and so is the image, in which both have the weight 1/2. A half that has enough samples is **held**. More of its samples are
+//! drawn, because they decide on the other half, but they do not count in the image.
 //!
-//! A sample with a NaN, infinite, negative or absurd component is counted and left out: the pixel's mean is over the others.
+//! A sample with a NaN, infinite, negative or absurdly large component is counted and left out: the pixel's mean is over the
+//! others.
 
 use crate::{BadKind, BadSample, BadSamples, FilmError, Rect, Sample};
 use femc_math::color::luminance;
@@ -21,26 +22,26 @@ use femc_stats::exact::RadianceSum;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// Largest number of pixels of a tile.
+/// Maximum number of pixels of a tile.
 pub const MAX_TILE_PIXELS: u64 = 1 << 22;
 
-/// Fixed-point fraction bits of an albedo sum; a term is at most 255, so 2^32 of them fit.
+/// Number of fixed-point fraction bits of an albedo sum; a term is at most 255, so 2^32 of them fit.
 pub(crate) const ALBEDO_FRACTION: u32 = 24;
 
-/// Halves of a pixel's samples.
+/// Number of halves of a pixel's samples.
 pub const HALVES: usize = 2;
 
-/// The half of a replicate: replicates take turns, so that the halves do, too.
+/// Returns the half of a replicate: replicates alternate, and therefore the halves do, too.
 pub const fn half_of(replicate: usize) -> usize {
     replicate % HALVES
 }
 
-/// The replicates of a half.
+/// Returns the replicates of a half.
 pub(crate) fn replicates_of(half: usize) -> [usize; REPLICATES / HALVES] {
     std::array::from_fn(|i| half + i * HALVES)
 }
 
-/// For each half the sample from which on its samples are held.
+/// First held sample of each half.
 pub type Ends = [u32; HALVES];
 
 /// No half is held.
@@ -56,17 +57,17 @@ pub struct SampleRange {
 }
 
 impl SampleRange {
-    /// Number of samples a pixel.
+    /// Returns the number of samples per pixel.
     pub const fn len(self) -> u32 {
         self.end.saturating_sub(self.start)
     }
 
-    /// Whether there is none.
+    /// Checks whether the range is empty.
     pub const fn is_empty(self) -> bool {
         self.len() == 0
     }
 
-    /// Ranges that ascend without a gap, as one; `None` for others, and for no range.
+    /// Joins ranges that ascend without a gap; `None` for any other ranges, and for no range.
     pub fn joined(ranges: &[Self]) -> Option<Self> {
         let (first, rest) = ranges.split_first()?;
         let join = |one: Self, next: &Self| (one.end == next.start).then_some(Self { end: next.end, ..one });
@@ -87,26 +88,26 @@ impl From<Range<u32>> for SampleRange {
 /// Sums over the good samples of one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PixelSums {
-    /// Color of each half, cd/m2, without samples that are held.
+    /// Color of each half, cd/m2, without held samples.
     pub color: [[RadianceSum; 3]; HALVES],
     /// Luminance of each replicate, cd/m2, of all samples.
     pub luminance: [RadianceSum; REPLICATES],
-    /// Depth of the samples that met a surface, metres.
+    /// Depth of the samples that hit a surface, meters.
     pub depth: ExactSum<40>,
     /// Albedo in units of 2^-24.
     pub albedo: [u64; 3],
-    /// Samples that met a surface.
+    /// Number of samples that hit a surface.
     pub hits: u32,
-    /// Good samples of each half that are not held.
+    /// Number of good samples of each half that are not held.
     pub count: [u32; HALVES],
-    /// Good samples of each replicate.
+    /// Number of good samples of each replicate.
     pub drawn: [u32; REPLICATES],
     /// Largest luminance of a sample of each half, cd/m2.
     pub peak: [f32; HALVES],
 }
 
 impl PixelSums {
-    /// Adds a sample without fault: finite, non-negative, at most [`MAX_RADIANCE`](crate::sample::MAX_RADIANCE).
+    /// Adds a good sample: finite, non-negative, at most [`MAX_RADIANCE`](crate::sample::MAX_RADIANCE).
     #[inline]
     fn add(&mut self, index: u32, sample: &Sample) {
         let replicate = replicate_of(index);
@@ -131,24 +132,24 @@ impl PixelSums {
         self.drawn[replicate] = self.drawn[replicate].saturating_add(1);
     }
 
-    /// Good samples, whether held or not.
+    /// Returns the number of good samples, whether held or not.
     pub fn samples(&self) -> u32 {
         self.drawn.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    /// Good samples that count in the image.
+    /// Returns the number of good samples that count in the image.
     pub fn counted(&self) -> u32 {
         self.count.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    /// Mean luminance by each replicate of a half, cd/m2; `None` where one has no good sample.
+    /// Returns the mean luminance of each replicate of a half, cd/m2; `None` if one has no good sample.
     pub(crate) fn luminances(&self, half: usize) -> Option<[f64; REPLICATES / HALVES]> {
         let replicates = replicates_of(half);
         let mean = |replicate: usize| self.luminance[replicate].value() / f64::from(self.drawn[replicate]);
         replicates.iter().all(|&replicate| self.drawn[replicate] > 0).then(|| replicates.map(mean))
     }
 
-    /// Takes the samples of a half out of the image.
+    /// Removes the samples of a half from the image.
     fn hold(&mut self, half: usize) {
         (self.color[half], self.count[half]) = Default::default();
     }
@@ -165,7 +166,7 @@ impl PixelSums {
     }
 }
 
-/// Mantissa and exponent of a finite float: `v = mantissa * 2^exponent`; subnormals, which no sum can hold, are 0.
+/// Returns mantissa and exponent of a finite float: `v = mantissa * 2^exponent`; subnormals, which no sum can hold, give 0.
 #[inline]
 pub(crate) fn parts(v: f32) -> (u64, i32) {
     let bits = v.to_bits();
@@ -174,7 +175,7 @@ pub(crate) fn parts(v: f32) -> (u64, i32) {
     (u64::from(mantissa), exponent as i32 - 150)
 }
 
-/// `round(2^24 min(a, 255))`: in a double of the size of this bias the lowest bit of the mantissa is 2^-24.
+/// Computes `round(2^24 min(a, 255))`. In a double of the size of this bias, the lowest bit of the mantissa is 2^-24.
 #[inline]
 fn albedo_units(a: f32) -> u64 {
     const BIAS: f64 = (1u64 << (52 - ALBEDO_FRACTION)) as f64;
@@ -185,7 +186,7 @@ fn albedo_units(a: f32) -> u64 {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tile {
     pub(crate) rect: Rect,
-    /// Sorted, disjoint, not joined: they are the keys under which samples were counted.
+    /// Sorted, disjoint, and not joined, because they are the keys under which samples were counted.
     pub(crate) ranges: Vec<SampleRange>,
     pub(crate) ends: Ends,
     pub(crate) pixels: Vec<PixelSums>,
@@ -194,7 +195,7 @@ pub struct Tile {
 }
 
 impl Tile {
-    /// A tile that will get the samples `samples` of each pixel of `rect`.
+    /// Creates an empty tile for the samples `samples` of each pixel of `rect`.
     pub fn new(rect: Rect, samples: Range<u32>) -> Result<Self, FilmError> {
         rect.check(MAX_TILE_PIXELS)?;
         let range = SampleRange::from(samples);
@@ -205,9 +206,9 @@ impl Tile {
         Ok(Self { rect, ranges: vec![range], ends: OPEN, pixels, bad: BadSamples::default(), work: 0 })
     }
 
-    /// A tile of `rect` from full-width strips that cover it from top to bottom, each with the samples `samples`: what
-    /// several threads filled at the same time.
-    /// - errors: strips that are not just these.
+    /// Joins full-width strips, which cover `rect` from top to bottom and have the samples `samples`, to a tile. Several threads
+    /// can fill strips at the same time.
+    /// - errors: the strips do not match.
     pub fn from_strips(rect: Rect, samples: Range<u32>, strips: Vec<Self>) -> Result<Self, FilmError> {
         let mut whole = Self::new(rect, samples)?;
         whole.pixels.clear();
@@ -228,28 +229,28 @@ impl Tile {
         Ok(whole)
     }
 
-    /// The pixels.
+    /// Returns the pixels.
     pub fn rect(&self) -> Rect {
         self.rect
     }
 
-    /// The sample ranges whose samples are in the sums, ascending.
+    /// Returns the sample ranges whose samples are in the sums, ascending.
     pub fn ranges(&self) -> &[SampleRange] {
         &self.ranges
     }
 
-    /// For each half the sample from which on its samples do not count in the image.
+    /// Returns the first held sample of each half: from there on, its samples do not count in the image.
     pub fn ends(&self) -> Ends {
         self.ends
     }
 
-    /// Whether a half is held.
+    /// Checks whether a half is held.
     pub(crate) fn is_held(&self) -> bool {
         self.ends != OPEN
     }
 
-    /// Holds the samples of each half from `ends` on. A half that is held from an earlier sample on stays so.
-    /// - errors: there are samples before and behind an end in one sum. The tile stays as it was.
+    /// Holds the samples of each half from `ends` on. A half that is already held from an earlier sample on does not change.
+    /// - errors: a sum has samples before and after an end. The tile does not change.
     pub fn hold(&mut self, ends: Ends) -> Result<(), FilmError> {
         let ends = earlier(self.ends, ends);
         let is_new = |half: usize| ends[half] < self.ends[half];
@@ -267,37 +268,37 @@ impl Tile {
         Ok(())
     }
 
-    /// Samples a pixel in all ranges.
+    /// Returns the number of samples per pixel in all ranges.
     pub fn spp(&self) -> u64 {
         self.ranges.iter().map(|r| u64::from(r.len())).sum()
     }
 
-    /// Account of the samples that were left out.
+    /// Returns the account of the samples that were left out.
     pub fn bad(&self) -> &BadSamples {
         &self.bad
     }
 
-    /// What the samples cost: rays traced for them, a count that is the same on every machine.
+    /// Returns the cost of the samples: the number of rays traced for them, which is the same on every machine.
     pub fn work(&self) -> u64 {
         self.work
     }
 
-    /// Adds to what the samples cost.
+    /// Adds to the cost of the samples.
     pub fn charge(&mut self, rays: u64) {
         self.work = self.work.saturating_add(rays);
     }
 
-    /// Sums of the pixels, row by row.
+    /// Returns the sums of the pixels, row by row.
     pub fn pixels(&self) -> &[PixelSums] {
         &self.pixels
     }
 
-    /// Sums of the film's pixel (`x`, `y`), which lies in the tile.
+    /// Returns the sums of the film's pixel (`x`, `y`), which lies in the tile.
     pub(crate) fn pixel(&self, (x, y): (u32, u32)) -> &PixelSums {
         &self.pixels[((y - self.rect.y) * self.rect.width + (x - self.rect.x)) as usize]
     }
 
-    /// Pixels one of whose sums has left its range and is a lower bound.
+    /// Returns the number of pixels with a sum that has left its range and is only a lower bound.
     pub fn saturated(&self) -> usize {
         let full = |p: &PixelSums| {
             let mut sums = p.color.as_flattened().iter().chain(&p.luminance);
@@ -308,7 +309,7 @@ impl Tile {
 
     /// Adds sample number `index` of the film's pixel (`x`, `y`), which must lie in the tile.
     ///
-    /// A bad sample is counted, with its place, and changes no sum; returned is what makes it unusable.
+    /// A bad sample is counted with its position and changes no sum. Returns the reason why it is unusable.
     #[inline]
     pub fn add(&mut self, x: u32, y: u32, index: u32, sample: &Sample) -> Option<BadKind> {
         debug_assert!(self.rect.contains(x, y), "pixel {x},{y} outside of tile {}", self.rect);
@@ -323,11 +324,11 @@ impl Tile {
 
     /// Adds the samples of `other`, a tile of the same pixels.
     ///
-    /// The union is keyed by sample range: ranges that are there already are the same samples, so merging them again changes
-    /// nothing. Associative, commutative, idempotent (test `any_order_and_partition_gives_the_same_bytes`).
-    /// What is held in one of them is held in both.
-    /// - errors: other pixels; ranges that partly overlap; some ranges known and others new; samples before and behind an end in one
-    ///   sum. The tile stays as it was.
+    /// The union is keyed by sample range. Ranges that are already present are the same samples, so merging them again changes
+    /// nothing. Associative, commutative, idempotent (test `any_order_and_partition_gives_the_same_bytes`). A half that is held in
+    /// either tile is held in the union.
+    /// - errors: other pixels; ranges that partly overlap; some ranges known and others new; samples before and after an end in one
+    ///   sum. The tile does not change.
     pub fn merge(&mut self, other: &Self) -> Result<Merged, FilmError> {
         if self.rect != other.rect {
             return Err(FilmError::OtherPixels { expected: self.rect, found: other.rect });
@@ -355,15 +356,15 @@ impl Tile {
     }
 }
 
-/// The earlier end of each half.
+/// Returns the earlier end of each half.
 fn earlier(a: Ends, b: Ends) -> Ends {
     std::array::from_fn(|half| a[half].min(b[half]))
 }
 
-/// What a merge did.
+/// Result of a merge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Merged {
-    /// The samples were new and are counted now.
+    /// The samples were new and are now counted.
     New,
     /// The samples had been counted before; nothing changed.
     Known,

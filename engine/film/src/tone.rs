@@ -1,6 +1,6 @@
-//! From luminance in cd/m2 to a display.
+//! Tone mapping from luminance in cd/m2 to a display.
 //!
-//! The global photographic operator (\[reinhard2002\], equation 4), applied to luminance so that hues stay:
+//! The global photographic operator (\[reinhard2002\], equation 4), applied to luminance so that hues do not change:
 //!
 //! ```text
 //! x       = exposure * Y                       Y: Rec.709 luminance, cd/m2
@@ -9,8 +9,8 @@
 //! byte    = round(255 * channel)
 //! ```
 //!
-//! Automatic exposure brings the log-average luminance to 0.18, middle gray. Pixels that no light reaches are left out, and
-//! those below 1e-4 of the mean count as that, so that a black sky does not decide the exposure.
+//! Automatic exposure maps the log-average luminance to 0.18, middle gray. Pixels without light are left out. Pixels below 1e-4 of
+//! the mean count as 1e-4 of it, so that a black sky does not decide the exposure.
 
 use crate::{Image, Levels, Picture};
 use femc_math::elementary::{double, pow};
@@ -18,12 +18,12 @@ use femc_math::{Rgb, color};
 
 /// Luminance, in units of 1 / exposure, that is shown as white.
 const WHITE: f32 = 8.0;
-/// What the log-average luminance is shown as, before the curve.
+/// Display value of the log-average luminance, before the curve.
 const MIDDLE_GRAY: f64 = 0.18;
 /// Smallest luminance in the log-average, relative to the mean.
 const DARKEST: f64 = 1e-4;
 
-/// How radiances are shown.
+/// A tone curve for radiances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToneCurve {
     /// Factor in front of the curve, 1/(cd/m2).
@@ -31,8 +31,8 @@ pub struct ToneCurve {
 }
 
 impl ToneCurve {
-    /// The curve of automatic exposure for all of `images` together, so that a clip does not flicker. Pixels that are not
-    /// finite or have no light do not count; with nothing but black the exposure is 1.
+    /// Computes the curve of automatic exposure for all of `images` together, so that a clip does not flicker. Pixels that are not
+    /// finite or have no light do not count; if all pixels are black, the exposure is 1.
     pub fn auto<'a>(images: impl IntoIterator<Item = &'a Image>) -> Self {
         let luminances: Vec<f64> = images
             .into_iter()
@@ -42,15 +42,15 @@ impl ToneCurve {
         Self::exposing(luminances.iter().map(|&y| (y, 1.0)))
     }
 
-    /// The same of blocks of pixels that are counted by their luminance, so that nobody needs all images at a time. Every block
-    /// counts as one in the middle of its bin: the exposure is within half a bin of that of the blocks (test
+    /// Computes the curve of automatic exposure from a luminance histogram of blocks, without keeping all images in memory. Every
+    /// block counts as one in the middle of its bin, so the exposure is within half a bin of that of the blocks (test
     /// `the_exposure_of_levels_is_within_half_a_bin_of_that_of_their_blocks`).
     pub fn of_levels(levels: &Levels) -> Self {
         Self::exposing(levels.lit().map(|(y, count)| (y, count as f64)))
     }
 
-    /// The same of what is no image.
-    /// - `luminances`: positive ones, cd/m2, with their weights, which add up to 1 at least.
+    /// Computes the curve of automatic exposure from weighted luminances.
+    /// - `luminances`: positive ones, cd/m2, with their weights, which sum to at least 1.
     pub fn exposing(luminances: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
         let n: f64 = luminances.clone().map(|(_, weight)| weight).sum();
         let mean = luminances.clone().map(|(y, weight)| weight * y).sum::<f64>() / n.max(1.0);
@@ -61,7 +61,7 @@ impl ToneCurve {
         Self { exposure: (MIDDLE_GRAY / double::exp(log_mean)) as f32 }
     }
 
-    /// Display values, 0..1, of a linear color in cd/m2; NaN and negative components are shown as 0.
+    /// Returns the display values, 0..1, of a linear color in cd/m2; NaN and negative components are shown as 0.
     pub fn display(self, color: [f32; 3]) -> [f32; 3] {
         let scaled = color.map(|c| if c > 0.0 { (c * self.exposure).min(f32::MAX / 4.0) } else { 0.0 });
         let x = color::luminance(Rgb::from_array(scaled));
@@ -70,7 +70,7 @@ impl ToneCurve {
         scaled.map(|c| srgb((c * gain).min(1.0)))
     }
 
-    /// The image as bytes.
+    /// Converts the image to an 8-bit picture.
     pub fn picture(self, image: &Image) -> Picture {
         let byte = |v: f32| (255.0 * v + 0.5) as u8;
         let pixels = image.pixels.iter().map(|&p| self.display(p).map(byte)).collect();
@@ -78,7 +78,7 @@ impl ToneCurve {
     }
 }
 
-/// Transfer function of sRGB for `linear` in 0..1 (IEC 61966-2-1).
+/// Applies the transfer function of sRGB to `linear` in 0..1 (IEC 61966-2-1).
 pub fn srgb(linear: f32) -> f32 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * pow(linear, 1.0 / 2.4) - 0.055 }
 }

@@ -1,8 +1,8 @@
-//! One deterministic automaton for all expressions of a frame.
+//! A deterministic automaton for all expressions of a frame.
 //!
-//! States are sets of positions: places of the expressions' events that the path may have just passed (Glushkov's construction,
-//! which has no empty steps). States that no path can tell apart are joined (Moore's refinement), and what is left is numbered in the
-//! order in which it is reached from the start: the table is a function of the layers and the label sets alone.
+//! A state is a set of positions: events of the expressions that the path may have just passed (Glushkov's construction, which has
+//! no empty steps). States that no path can tell apart are merged (Moore's refinement). The remaining states are numbered in the
+//! order in which they are reached from the start, so the table is a function of the layers and the label sets alone.
 
 use crate::error::LayerError;
 use crate::event::{Event, Kind, LabelSet, Vocabulary};
@@ -10,25 +10,25 @@ use crate::expression::{Expression, Node};
 use crate::layer::{Layer, parse_all};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// Where a path stands in all expressions.
+/// State of a path in all expressions.
 pub type State = u16;
 
-/// Nothing that follows makes any layer take the path.
+/// State from which no layer can accept the path any more.
 pub const DEAD: State = 0;
 
-/// A set of labels that something in the scene has: where the table has its events.
+/// A set of labels of something in the scene: offset of its events in the table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Labels(u32);
 
 impl Labels {
-    /// An event of a kind at something that has these labels.
+    /// Returns the symbol of an event of `kind` at something with these labels.
     #[inline]
     pub fn event(self, kind: Kind) -> Symbol {
         Symbol(self.0 + kind as u32)
     }
 }
 
-/// An event at something that has a set of labels. A path that has left the camera stays in its state at another [`Kind::Camera`].
+/// An event at something with a set of labels. A path that has left the camera stays in its state at another [`Kind::Camera`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Symbol(u32);
 
@@ -37,38 +37,38 @@ impl Symbol {
     pub const NONE: Self = Self(Kind::Camera as u32);
 }
 
-/// Number of a set of layers that take paths together; [`NO_LAYERS`] is the empty one.
+/// Number of a set of layers that accept paths together; [`NO_LAYERS`] is the empty set.
 pub type Takers = u16;
 
-/// No layer takes the path.
+/// No layer accepts the path.
 pub const NO_LAYERS: Takers = 0;
 
-/// Kinds that follow the camera.
+/// Number of kinds that may follow the camera.
 const KINDS: usize = Kind::ALL.len() - 1;
-/// Entries of the table for a state and a label set: one for each kind, the camera's, too.
+/// Entries of the table per state and label set: one for each kind, including the camera.
 const COLUMNS: usize = Kind::ALL.len();
-/// Most entries of the table while it is made.
+/// Maximum number of entries of the table during construction.
 const MOST_ENTRIES: usize = 1 << 22;
 
-/// The expressions of all layers.
+/// The compiled expressions of all layers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Automaton {
-    /// Label sets that something in the scene has, ascending.
+    /// Label sets that occur in the scene, ascending.
     sets: Vec<LabelSet>,
-    /// By state, label set and kind of event.
+    /// Next state, by state, label set and kind of event.
     next: Vec<State>,
-    /// Entries of a state.
+    /// Number of table entries per state.
     columns: usize,
-    /// By state and symbol: the layers that take a path which ends with that event after this state.
+    /// Layers that accept a path which ends with this event in this state, by state and symbol.
     takers: Vec<Takers>,
-    /// By their number: a bit for each layer.
+    /// Sets of layers by their number, a bit for each layer.
     layers: Vec<u64>,
     start: State,
 }
 
 impl Automaton {
-    /// Of these layers, in a scene whose objects, media and lamps have these sets of labels by `vocabulary`.
-    /// - errors: a layer is at fault, or all of them together take too many states.
+    /// Compiles the layers for a scene whose objects, media and lamps have these label sets of `vocabulary`.
+    /// - errors: a layer is invalid, or all layers together need too many states.
     pub fn new(
         layers: &[Layer],
         vocabulary: &Vocabulary,
@@ -82,7 +82,8 @@ impl Automaton {
         Ok(subsets.minimal(sets))
     }
 
-    /// The labels that the layers name.
+    /// Collects the labels that the layers name.
+    /// - errors: a layer is invalid, or the layers name too many labels.
     pub fn vocabulary(layers: &[Layer]) -> Result<Vocabulary, LayerError> {
         let expressions = parse_all(layers)?;
         let events: Vec<&Event> = expressions.iter().flat_map(Expression::events).collect();
@@ -91,49 +92,49 @@ impl Automaton {
         Vocabulary::of(labels).ok_or(LayerError::Labels(count))
     }
 
-    /// Number of states.
+    /// Returns the number of states.
     pub fn states(&self) -> usize {
         self.takers.len() / self.columns
     }
 
-    /// The state of a path that has left the camera.
+    /// Returns the state of a path that has left the camera.
     pub fn start(&self) -> State {
         self.start
     }
 
-    /// Where the table has this set; `None`: nothing in the scene has it.
+    /// Returns the position of this label set in the table; `None`: nothing in the scene has it.
     pub fn labels(&self, set: LabelSet) -> Option<Labels> {
         self.sets.binary_search(&set).ok().map(|at| Labels((at * COLUMNS) as u32))
     }
 
-    /// The state after an event.
+    /// Returns the state after an event.
     #[inline]
     pub fn next(&self, state: State, event: Symbol) -> State {
         self.next[usize::from(state) * self.columns + event.0 as usize]
     }
 
-    /// The layers that take a path which ends with this event after a state.
+    /// Returns the layers that accept a path which ends with this event in `state`.
     #[inline]
     pub fn takers(&self, state: State, event: Symbol) -> Takers {
         self.takers[usize::from(state) * self.columns + event.0 as usize]
     }
 
-    /// By [`Takers`]: the layers, a bit each.
+    /// Returns the sets of layers, indexed by [`Takers`], a bit for each layer.
     pub fn layers(&self) -> &[u64] {
         &self.layers
     }
 }
 
-/// The events of all expressions, and which may follow which.
+/// The events of all expressions, and the possible order of these events.
 pub(crate) struct Positions<'a> {
     pub(crate) events: Vec<&'a Event>,
-    /// Position `n`: those that may follow; `events.len() + layer`: those that a path may begin with.
+    /// Successors of position `n`; at `events.len() + layer`: the first positions of the layer's paths.
     pub(crate) follow: Vec<BTreeSet<usize>>,
-    /// By position: the layer of which a path may end there, as a bit.
+    /// By position: the layer whose paths may end there, as a bit.
     pub(crate) last: Vec<u64>,
 }
 
-/// What a part of an expression begins and ends with, and whether no event at all fits it.
+/// First and last positions of a part of an expression, and whether the part also matches no event at all.
 struct Ends {
     first: BTreeSet<usize>,
     last: BTreeSet<usize>,
@@ -148,7 +149,7 @@ impl<'a> Positions<'a> {
         for (layer, ends) in ends.into_iter().enumerate() {
             ends.last.into_iter().for_each(|at| positions.last[at] |= 1 << layer);
             positions.follow.push(ends.first);
-            // A path has an event at least.
+            // A path has at least one event.
             positions.last.push(0);
         }
         positions
@@ -205,17 +206,17 @@ impl<'a> Positions<'a> {
     }
 }
 
-/// The automaton whose states are sets of positions.
+/// The automaton of the subset construction, before it is minimized.
 struct Subsets {
     symbols: usize,
-    /// By state and symbol.
+    /// Next state, by state and symbol.
     next: Vec<u32>,
     accepts: Vec<u64>,
     start: u32,
 }
 
 impl Subsets {
-    /// - `most`: states; `None`: there are more.
+    /// Builds the automaton; `None`: it needs more than `most` states.
     fn of(positions: &Positions<'_>, vocabulary: &Vocabulary, sets: &[LabelSet], most: usize) -> Option<Self> {
         let fits = |kind: Kind, set: LabelSet| -> Vec<bool> {
             let has = |label: &str| vocabulary.has(set, label);
@@ -233,7 +234,7 @@ impl Subsets {
         };
         let begin: BTreeSet<usize> = (positions.events.len()..positions.follow.len()).collect();
         let start = step(&begin, &fits(Kind::Camera, LabelSet::default()));
-        // The set of no positions is the dead state.
+        // The empty set is the dead state.
         let mut known: BTreeMap<BTreeSet<usize>, u32> = [(BTreeSet::new(), 0)].into();
         let mut queue: VecDeque<BTreeSet<usize>> = [BTreeSet::new()].into();
         let mut number = |set: BTreeSet<usize>, queue: &mut VecDeque<BTreeSet<usize>>| {
@@ -257,7 +258,7 @@ impl Subsets {
         Some(Self { symbols: fitting.len(), next, accepts, start })
     }
 
-    /// The same with as few states as can be.
+    /// Minimizes the number of states.
     fn minimal(self, sets: Vec<LabelSet>) -> Automaton {
         let Self { symbols, next, accepts, start } = self;
         let row = |state: usize| &next[state * symbols..(state + 1) * symbols];
@@ -274,7 +275,7 @@ impl Subsets {
                 break;
             }
         }
-        // The dead state first, then from the start on, as they are reached.
+        // The dead state comes first, then the others in the order in which they are reached from the start.
         let mut order: Vec<usize> = vec![0];
         let mut place: BTreeMap<u32, State> = [(class[0], DEAD)].into();
         let mut visit = |state: u32, order: &mut Vec<usize>| {
@@ -293,7 +294,7 @@ impl Subsets {
             at += 1;
         }
         let accepted: Vec<u64> = order.iter().map(|&state| accepts[state]).collect();
-        // The empty set first.
+        // The empty set comes first.
         let takers = numbered(std::iter::once(0).chain(accepted.iter().copied()));
         let mut layers = vec![0; takers.iter().max().map_or(0, |most| *most as usize + 1)];
         takers.iter().skip(1).zip(accepted).for_each(|(&taker, accepted)| layers[taker as usize] = accepted);
@@ -303,7 +304,7 @@ impl Subsets {
     }
 }
 
-/// Equal things have equal numbers, from 0 in order of their first.
+/// Numbers the items: equal items get equal numbers, from 0 in order of first occurrence.
 fn numbered<T: Ord>(all: impl Iterator<Item = T>) -> Vec<u32> {
     let mut known = BTreeMap::new();
     all.map(|it| {

@@ -1,12 +1,12 @@
 //! Ids of names by the Cryptomatte specification, version 1.1.0 (Psyop).
 //!
-//! An id is the MurmurHash3 of a name (x86, 32 bits, seed 0) as the bits of a float, whose exponent is kept from 0 and 255, so that it is
-//! neither subnormal, infinite nor NaN. Two names may have one id: about one pair among 65,000 names.
+//! An id is the MurmurHash3 of a name (x86, 32 bits, seed 0) as the bits of a float. Its exponent is kept away from 0 and 255, so
+//! the float is never subnormal, infinite or NaN. Two names may share an id: expect about one pair among 65,000 names.
 
-/// Name of what has none: things outside of all objects, and the unnamed material.
+/// Name of everything unnamed: things outside of all objects, and the unnamed material.
 pub const UNNAMED: &str = "default";
 
-/// MurmurHash3 of bytes: the variant for x86 of 32 bits.
+/// Computes the MurmurHash3 of bytes: the variant for x86 with 32 bits.
 fn murmur3(bytes: &[u8], seed: u32) -> u32 {
     let scramble = |word: u32| word.wrapping_mul(0xcc9e_2d51).rotate_left(15).wrapping_mul(0x1b87_3593);
     let words = bytes.chunks_exact(4);
@@ -24,14 +24,14 @@ fn murmur3(bytes: &[u8], seed: u32) -> u32 {
     hash ^ hash >> 16
 }
 
-/// Bits of the float that is the id of a name. Never 0, which is the id of nothing.
+/// Returns the bits of the float that is the id of a name. They are never 0, which is the id of nothing.
 pub fn id(name: &str) -> u32 {
     let hash = murmur3(name.as_bytes(), 0);
     let exponent = (hash >> 23 & 0xff).clamp(1, 254);
     hash & 0x807f_ffff | exponent << 23
 }
 
-/// Name of the metadata of a layer: `cryptomatte/KEY/WHAT`, the key from the layer's name.
+/// Returns the metadata name of a layer: `cryptomatte/KEY/WHAT`, with the key from the layer's name.
 /// - `what`: `name`, `hash`, `conversion` or `manifest`.
 pub fn attribute(layer: &str, what: &str) -> String {
     let id = format!("{:08x}", id(layer));
@@ -95,7 +95,7 @@ mod tests {
         let hex = format!("{:08x}", id("crypto_object"));
         assert_eq!(attribute("crypto_object", "name"), format!("cryptomatte/{}/name", &hex[..7]));
         assert_ne!(attribute("crypto_object", "name"), attribute("crypto_material", "name"));
-        // The format's names have 31 characters.
+        // Names in the format have at most 31 characters.
         assert!(attribute("crypto_material", "conversion").len() <= 31);
     }
 }

@@ -1,31 +1,31 @@
-//! Layers that no path can fit: decided from an expression and the events that a scene can make, before anything is rendered.
+//! Detection of layers that no path can match, from an expression and the possible events of a scene, before rendering.
 //!
 //! A path is the camera, any number of scatterings, and a source. The expression's positions (Glushkov's construction, as in
-//! [`crate::automaton`]) are a graph; a layer may receive light if a walk through positions whose events something makes leads from the
-//! camera to a source. Where the scene makes more events than are told here the answer would be wrong, so callers tell all that may
-//! happen. Of the walks that lack events, one that lacks the fewest says what is missing.
+//! [`crate::automaton`]) form a graph. A layer may receive light if a walk leads from the camera to a source and the scene can make
+//! the event of every position on it. Callers must list all events that may happen, otherwise the answer is wrong. If every walk
+//! has missing events, a walk with the fewest missing events names them.
 
 use crate::automaton::Positions;
 use crate::event::{Event, Kind, LabelSet, Vocabulary};
 use crate::expression::Expression;
 use std::collections::{BTreeSet, VecDeque};
 
-/// Reason for which a layer receives no light.
+/// Reason why a layer receives no light.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Darkness {
-    /// No path of it begins with the camera.
+    /// No path of the layer begins with the camera.
     NoCamera,
-    /// No path of it ends with a source that is its only source.
+    /// No path of the layer ends with a source that is its only source.
     NoSource,
-    /// Nothing makes these events, of which each path of it has some.
+    /// Nothing in the scene makes these events, and every path of the layer has some missing event.
     Missing(Vec<Event>),
-    /// Its shortest path has so many segments, which is more than a path may have.
+    /// The shortest path of the layer has this number of segments, which exceeds the maximum.
     TooLong(usize),
 }
 
-/// Why a layer receives no light; `None`: it may receive some.
-/// - `made`: all events that something can make, with the labels of what makes them by `vocabulary`; without the camera's.
-/// - `longest`: most segments of a path; `None`: unbounded.
+/// Returns the reason why a layer receives no light; `None`: it may receive some.
+/// - `made`: all events that the scene can make, with the labels of `vocabulary`; without the camera's event.
+/// - `longest`: maximum number of segments of a path; `None`: unbounded.
 pub fn darkness(
     expression: &Expression,
     vocabulary: &Vocabulary,
@@ -49,17 +49,17 @@ pub fn darkness(
     }
 }
 
-/// Whether something makes an event.
+/// Whether the scene makes an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Use {
     Made,
-    /// The expression asks for it, and nothing makes it.
+    /// The expression allows it, but nothing makes it.
     Missing,
-    /// The expression does not ask for such an event.
+    /// The expression does not allow such an event.
     Never,
 }
 
-/// An event as a scattering, and as a source.
+/// Returns the use of an event as a scattering, and as a source.
 fn uses(event: &Event, vocabulary: &Vocabulary, made: &BTreeSet<(Kind, LabelSet)>) -> [Use; 2] {
     [false, true].map(|is_source| {
         let is_of = |kind: Kind| kind != Kind::Camera && kind.is_source() == is_source;
@@ -74,7 +74,7 @@ fn uses(event: &Event, vocabulary: &Vocabulary, made: &BTreeSet<(Kind, LabelSet)
     })
 }
 
-/// Walks from the camera to a source.
+/// Search for walks from the camera to a source.
 struct Walk<'a> {
     positions: &'a Positions<'a>,
     uses: &'a [[Use; 2]],
@@ -82,7 +82,7 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    /// Position after `at`, and the last one of a path where it may end there.
+    /// Returns the positions after `at`, each with its use as a scattering, and its use as a source if a path may end there.
     fn after(&self, at: usize) -> impl Iterator<Item = (usize, Option<Use>, Option<Use>)> + '_ {
         self.positions.follow[at].iter().map(|&next| {
             let [scattering, source] = self.uses[next];
@@ -91,7 +91,7 @@ impl Walk<'_> {
         })
     }
 
-    /// Missing events of a walk that lacks the fewest, each once; `None`: there is no walk.
+    /// Returns the missing events of a walk with the fewest missing events, each once; `None`: there is no walk.
     fn fewest_missing(&self) -> Option<Vec<Event>> {
         let count = self.positions.events.len();
         let mut before: Vec<Option<(usize, Option<usize>)>> = vec![None; count];
@@ -117,7 +117,7 @@ impl Walk<'_> {
                     let all = cost + usize::from(it == Use::Missing);
                     if before[next].is_none_or(|(known, _)| all < known) {
                         before[next] = Some((all, Some(at)));
-                        // The queue is in order of costs, which differ by one at most.
+                        // The queue is sorted by cost, and costs in it differ by at most one.
                         if it == Use::Missing { queue.push_back((all, next)) } else { queue.push_front((all, next)) }
                     }
                 }
@@ -136,7 +136,7 @@ impl Walk<'_> {
         Some(missing.into_iter().collect())
     }
 
-    /// Segments of the shortest walk that lacks nothing.
+    /// Returns the number of segments of the shortest walk without missing events.
     fn shortest(&self) -> Option<usize> {
         let mut length: Vec<Option<usize>> = vec![None; self.positions.events.len()];
         let mut queue: VecDeque<usize> = self.start.iter().copied().collect();
@@ -161,7 +161,7 @@ impl Walk<'_> {
 mod tests {
     use super::*;
 
-    /// The darkness of an expression where reflection is diffuse or rough at `a`, and a lamp is there.
+    /// Returns the darkness of an expression in a scene with diffuse and glossy reflection at `a`, and a lamp.
     fn dark(text: &str, longest: Option<usize>) -> Option<String> {
         let expression = Expression::parse(text).expect(text);
         let vocabulary =

@@ -1,17 +1,17 @@
-//! Light path expressions as other renderers write them: what is understood, and the advice that goes with what is not.
+//! Light path expressions in the notation of other renderers: accepted constructs, and advice for the others.
 //!
-//! Users paste expressions from the manuals of Arnold, Karma, RenderMan, Iray and others. A construct with the same meaning is read.
-//! Every other construct is refused with its place and the way to write it here, because a layer that silently takes other light is worse
-//! than an error.
+//! Users paste expressions from the manuals of Arnold, Karma, RenderMan, Iray and others. A construct with the same meaning is
+//! accepted. Every other construct is refused with its position and the notation to use here, because a layer that silently takes
+//! other light is worse than an error.
 
-/// Number of characters that a prefix of other renderers takes: `lpe:`, or `color lpe:`, in any case.
-/// - errors: place and advice, where other words stand before `lpe:`.
+/// Returns the length in characters of a prefix of other renderers: `lpe:`, or `color lpe:`, in any case.
+/// - errors: position and advice, if other words precede `lpe:`.
 pub(crate) fn prefix(chars: &[char]) -> Result<usize, (usize, &'static str)> {
     const PREFIX: [char; 4] = ['l', 'p', 'e', ':'];
     let is_prefix = |window: &[char]| window.iter().map(char::to_ascii_lowercase).eq(PREFIX);
     let Some(at) = chars.windows(PREFIX.len()).position(is_prefix) else { return Ok(0) };
     let before = &chars[..at];
-    // A label may hold anything.
+    // A label may contain any text.
     if before.iter().any(|c| matches!(c, '\'' | '<' | '[' | '(')) {
         return Ok(0);
     }
@@ -28,7 +28,7 @@ pub(crate) fn prefix(chars: &[char]) -> Result<usize, (usize, &'static str)> {
 const OPTIONS: &str = "the expression alone: what other renderers write before `lpe:` (float, unoccluded; noclamp; overwrite; ..) has no \
                        counterpart here; leave it out";
 
-/// Advice about a character that begins no event here, where another renderer gives it a meaning.
+/// Returns advice about a character that begins no event here but has a meaning in another renderer.
 pub(crate) fn advice(found: char) -> Option<&'static str> {
     Some(match found {
         's' => {
@@ -53,7 +53,7 @@ pub(crate) fn advice(found: char) -> Option<&'static str> {
     })
 }
 
-/// Advice about a scattering where the type should stand: `<D>`.
+/// Advice about a scattering in the position of the type: `<D>`.
 pub(crate) const SCATTERING_FIRST: &str =
     "the type before the scattering: write D, G or S without angles, or <RD>, <TD>, <.D> ..";
 

@@ -1,14 +1,14 @@
-//! Why layers are refused.
+//! Errors in layers.
 
-/// An expression that cannot be read.
+/// An expression that cannot be parsed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", self.text())]
 pub struct ExpressionError {
     /// The expression.
     pub expression: String,
-    /// Where it is at fault, in characters from its beginning.
+    /// Position of the error, in characters from the beginning.
     pub at: usize,
-    /// What could stand there.
+    /// Expected input at this position.
     pub expected: &'static str,
 }
 
@@ -26,43 +26,43 @@ impl ExpressionError {
     }
 }
 
-/// Layers that a frame cannot have.
+/// Errors in the layers of a frame.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LayerError {
-    /// No `NAME=EXPRESSION`.
+    /// The text is not `NAME=EXPRESSION`.
     #[error("`{0}` is no layer; write NAME=EXPRESSION, like direct=CDL")]
     Form(String),
-    /// No name for channels.
+    /// The name is not valid for channels.
     #[error("a layer cannot be called `{0}`; a name has 1 to 64 letters, digits, `_` and `-`")]
     Name(String),
-    /// A name of channels that the file has anyway.
+    /// The file already has channels with this name.
     #[error("a layer cannot be called `{0}`: the file has channels of that name; choose another")]
     Taken(String),
-    /// Two layers of a name.
+    /// Two layers have the same name.
     #[error("two layers are called `{0}`; give each a name of its own")]
     Twice(String),
-    /// Too many.
+    /// There are too many layers.
     #[error("there are {0} layers; a frame has at most {most}", most = crate::MOST_LAYERS)]
     Many(usize),
-    /// No preset and no feature of this name.
+    /// No preset and no feature has this name.
     #[error(
         "there are no layers called `{0}`; choose among {presets}, {features}",
         presets = crate::Preset::NAMES.join(", "),
         features = crate::Feature::NAMES.join(", ")
     )]
     Preset(String),
-    /// Layers of lamps where there are none.
+    /// Layers of lamps are requested, but the scene has no lamps.
     #[error("the scene has no lamps, so that there are no layers of `lamps`")]
     NoLamps,
-    /// An expression that cannot be read.
+    /// An expression that cannot be parsed.
     #[error("layer `{layer}`: {cause}")]
     Expression {
         /// Name of the layer.
         layer: String,
-        /// What is wrong.
+        /// Error in the expression.
         cause: ExpressionError,
     },
-    /// A label that nothing has.
+    /// Nothing in the scene has this label.
     #[error(
         "layer `{layer}`: nothing in the scene is called `{label}`; a label is the name of an object, a material, a medium or a lamp \
          (OBJECT/MATERIAL)"
@@ -73,7 +73,7 @@ pub enum LayerError {
         /// The label.
         label: String,
     },
-    /// Too many labels.
+    /// The layers name too many labels.
     #[error("the layers name {0} objects and lamps; they may name {most}", most = crate::Vocabulary::MOST)]
     Labels(usize),
     /// The automaton is too large.

@@ -1,9 +1,9 @@
-//! Events of a path, and what an expression asks of one.
+//! Events of a path, and the conditions of an expression on one event.
 
 use std::collections::BTreeSet;
 use std::fmt;
 
-/// What happens at a vertex of a path, from the camera to the source. The source is the last event, and the only one of its path.
+/// Kind of event at a vertex of a path, from the camera to the source. The source is the last event, and a path has only one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum Kind {
@@ -32,7 +32,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All, in order.
+    /// All kinds, in order.
     pub const ALL: [Self; 11] = [
         Self::Camera,
         Self::ReflectedDiffuse,
@@ -47,34 +47,34 @@ impl Kind {
         Self::Background,
     ];
 
-    /// Whether a path ends with it.
+    /// Checks whether a path ends with this kind.
     pub fn is_source(self) -> bool {
         matches!(self, Self::Light | Self::Object | Self::Background)
     }
 
-    /// As a bit of a set.
+    /// Returns the kind as a bit of a set.
     pub(crate) const fn bit(self) -> u16 {
         1 << self as u16
     }
 }
 
-/// All kinds.
+/// Set of all kinds.
 pub(crate) const ANY: u16 = (1 << Kind::ALL.len()) - 1;
 
-/// What an expression asks of one event.
+/// Condition of an expression on one event.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Event {
-    /// One of these fits; with `negated` none does.
+    /// Alternatives, of which one must match; with `negated`, none may match.
     pub(crate) any: Vec<Class>,
     pub(crate) negated: bool,
 }
 
-/// Kinds and labels.
+/// Set of kinds and labels.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct Class {
-    /// Bits of [`Kind`].
+    /// Kinds, a bit for each [`Kind`].
     pub(crate) kinds: u16,
-    /// One of these labels; with the flag none of them. `None`: whatever it is called.
+    /// Labels, of which one must match; with the flag, none may match. `None`: any label.
     pub(crate) labels: Option<(Vec<String>, bool)>,
 }
 
@@ -83,7 +83,7 @@ impl Event {
         Self { any: vec![class], negated: false }
     }
 
-    /// Whether an event of this kind fits, at something that has the labels for which `has` is true.
+    /// Checks whether an event of this kind matches, at something that has the labels for which `has` is true.
     pub fn fits(&self, kind: Kind, has: impl Fn(&str) -> bool) -> bool {
         let fits = |class: &Class| {
             let labelled = |(labels, negated): &(Vec<String>, bool)| labels.iter().any(|label| has(label)) != *negated;
@@ -92,23 +92,23 @@ impl Event {
         self.any.iter().any(fits) != self.negated
     }
 
-    /// Whether an event of this kind fits, whatever it is called.
+    /// Checks whether an event of this kind matches with suitable labels.
     pub fn admits(&self, kind: Kind) -> bool {
         self.fits(kind, |_| true) || self.fits(kind, |_| false)
     }
 
-    /// Kinds that fit, with the labels ignored.
+    /// Returns the kinds that match, regardless of labels.
     pub fn kinds(&self) -> impl Iterator<Item = Kind> + '_ {
         Kind::ALL.into_iter().filter(|kind| self.admits(*kind))
     }
 
-    /// The event at what it names, of any kind.
+    /// Returns the condition on the labels alone, for any kind.
     pub fn of_any_kind(&self) -> Self {
         let any = self.any.iter().map(|class| Class { kinds: ANY, ..class.clone() }).collect();
         Self { any, negated: self.negated }
     }
 
-    /// The labels as part of a sentence: ` at 'a'`; empty without labels.
+    /// Returns the labels as part of a sentence: ` at 'a'`; empty without labels.
     pub fn place(&self) -> String {
         let labels: Vec<String> = self.labels().map(|label| format!("'{label}'")).collect();
         let is_negated = self.negated || self.any.iter().any(|class| matches!(class.labels, Some((_, true))));
@@ -119,7 +119,7 @@ impl Event {
         }
     }
 
-    /// The labels that it names.
+    /// Returns the labels that the condition names.
     pub fn labels(&self) -> impl Iterator<Item = &str> {
         self.any.iter().filter_map(|class| class.labels.as_ref()).flat_map(|it| &it.0).map(String::as_str)
     }
@@ -163,7 +163,7 @@ const SHORT: [(&str, u16); 25] = {
     ]
 };
 
-/// A set of kinds as an expression has it.
+/// Formats a set of kinds in the notation of expressions.
 pub fn spelled(kinds: impl IntoIterator<Item = Kind>) -> String {
     const ONE: [&str; Kind::ALL.len()] = ["C", "<RD>", "<RG>", "<RS>", "<TD>", "<TG>", "<TS>", "V", "L", "O", "B"];
     let set = kinds.into_iter().fold(0, |set, kind| set | kind.bit());
@@ -180,12 +180,12 @@ impl fmt::Display for Event {
     }
 }
 
-/// Which labels of a [`Vocabulary`] something has: a bit each.
+/// Labels of something in the scene, a bit for each label of a [`Vocabulary`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LabelSet(pub(crate) u128);
 
 impl LabelSet {
-    /// The labels of both.
+    /// Returns the labels of both sets.
     #[inline]
     pub fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
@@ -197,21 +197,22 @@ impl LabelSet {
 pub struct Vocabulary(Vec<String>);
 
 impl Vocabulary {
-    /// Most labels.
+    /// Maximum number of labels.
     pub const MOST: usize = 128;
 
-    /// Of all these labels; `None`: they are more than [`Self::MOST`].
+    /// Collects the labels; `None`: there are more than [`Self::MOST`].
     pub fn of<'a>(labels: impl IntoIterator<Item = &'a str>) -> Option<Self> {
         let all: BTreeSet<&str> = labels.into_iter().collect();
         (all.len() <= Self::MOST).then(|| Self(all.into_iter().map(str::to_owned).collect()))
     }
 
-    /// The labels in order.
+    /// Returns the labels in order.
     pub fn labels(&self) -> &[String] {
         &self.0
     }
 
-    /// The labels that something of these names has: a label stands for the name, and as `a` for what is within it, `a.b`.
+    /// Returns the labels that match something with these names. A label matches its own name, and `a` also matches everything
+    /// within it, such as `a.b`.
     pub fn set(&self, names: &[&str]) -> LabelSet {
         let has = |label: &str| {
             let within =
@@ -221,7 +222,7 @@ impl Vocabulary {
         LabelSet(self.0.iter().enumerate().filter(|(_, label)| has(label)).fold(0, |set, (bit, _)| set | 1 << bit))
     }
 
-    /// Whether a set has a label.
+    /// Checks whether a set has a label.
     pub fn has(&self, set: LabelSet, label: &str) -> bool {
         self.0.binary_search_by(|known| known.as_str().cmp(label)).is_ok_and(|bit| set.0 >> bit & 1 == 1)
     }

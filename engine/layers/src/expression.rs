@@ -1,4 +1,4 @@
-//! The grammar of light path expressions, as Open Shading Language has it.
+//! The grammar of light path expressions, as in Open Shading Language.
 //!
 //! ```text
 //! choice   = sequence { "|" sequence }
@@ -11,8 +11,8 @@
 //! LABEL    = "'" text "'"
 //! ```
 //!
-//! The first part in angles is the type (`C R T V L O B`), the second the scattering (`D G S`). Spaces do not count. A prefix `lpe:`, which
-//! other renderers want, is left out ([`crate::dialect`]).
+//! The first part in angles is the type (`C R T V L O B`), the second the scattering (`D G S`). Spaces are ignored. The prefix
+//! `lpe:`, which other renderers require, is skipped ([`crate::dialect`]).
 
 use crate::dialect::{self, BARE_LABEL, SCATTERING_FIRST};
 use crate::error::ExpressionError;
@@ -23,29 +23,29 @@ use crate::event::{ANY, Class, Event, Kind};
 pub enum Node {
     /// One event.
     Event(Event),
-    /// One after the other; none: no event.
+    /// A sequence of parts; an empty one matches no event.
     Sequence(Vec<Node>),
-    /// One of them.
+    /// A choice of one part.
     Choice(Vec<Node>),
-    /// Any number of times, `*`.
+    /// Any number of repetitions, `*`.
     Any(Box<Node>),
-    /// Once or more, `+`.
+    /// One or more repetitions, `+`.
     Some(Box<Node>),
-    /// Once or not, `?`.
+    /// Zero or one occurrence, `?`.
     Maybe(Box<Node>),
 }
 
-/// An expression that has been read.
+/// A parsed expression.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Expression(pub(crate) Node);
 
-/// Most characters of an expression.
+/// Maximum number of characters of an expression.
 const LONGEST: usize = 4096;
-/// Most parentheses within each other.
+/// Maximum depth of nested parentheses.
 const DEEPEST: usize = 64;
-/// Most repetitions of `{n,m}`.
+/// Maximum number of repetitions in `{n,m}`.
 const MOST_TIMES: usize = 64;
-/// Most events of an expression whose repetitions are written out.
+/// Maximum number of events of an expression with repetitions written out.
 const MOST_EVENTS: usize = 2048;
 
 const REFLECTED: u16 = 0b111 << Kind::ReflectedDiffuse as u16;
@@ -54,7 +54,7 @@ const DIFFUSE: u16 = Kind::ReflectedDiffuse.bit() | Kind::TransmittedDiffuse.bit
 const GLOSSY: u16 = Kind::ReflectedGlossy.bit() | Kind::TransmittedGlossy.bit();
 const SPECULAR: u16 = Kind::ReflectedSpecular.bit() | Kind::TransmittedSpecular.bit();
 
-/// Kinds of a type's letter.
+/// Returns the kinds of a type letter.
 fn type_of(letter: char) -> Option<u16> {
     Some(match letter {
         'C' => Kind::Camera.bit(),
@@ -68,7 +68,7 @@ fn type_of(letter: char) -> Option<u16> {
     })
 }
 
-/// Kinds of a scattering's letter.
+/// Returns the kinds of a scattering letter.
 fn scattering_of(letter: char) -> Option<u16> {
     Some(match letter {
         'D' => DIFFUSE,
@@ -79,7 +79,7 @@ fn scattering_of(letter: char) -> Option<u16> {
 }
 
 impl Expression {
-    /// Reads an expression.
+    /// Parses an expression.
     pub fn parse(text: &str) -> Result<Self, ExpressionError> {
         let mut parser = Parser { text, chars: text.chars().collect(), at: 0, depth: 0, events: 0 };
         if parser.chars.len() > LONGEST {
@@ -101,12 +101,12 @@ impl Expression {
         }
     }
 
-    /// The expression as a tree.
+    /// Returns the expression as a tree.
     pub fn node(&self) -> &Node {
         &self.0
     }
 
-    /// The events that it asks for.
+    /// Returns the events of the expression.
     pub fn events(&self) -> Vec<&Event> {
         fn collect<'a>(node: &'a Node, all: &mut Vec<&'a Event>) {
             match node {
@@ -128,11 +128,11 @@ struct Parser<'a> {
     chars: Vec<char>,
     at: usize,
     depth: usize,
-    /// Events so far, with repetitions written out.
+    /// Number of events so far, with repetitions written out.
     events: usize,
 }
 
-/// Number of events of a part of an expression.
+/// Returns the number of events of a part of an expression.
 fn events_of(node: &Node) -> usize {
     match node {
         Node::Event(_) => 1,
@@ -146,13 +146,13 @@ impl Parser<'_> {
         ExpressionError { expression: self.text.to_owned(), at: self.at, expected }
     }
 
-    /// The error that an event should stand here, with advice where another renderer gives the character a meaning.
+    /// Returns the error that an event is expected here, with advice if the character has a meaning in another renderer.
     fn expected_event(&self) -> ExpressionError {
         let advice = self.chars.get(self.at).and_then(|found| dialect::advice(*found));
         self.expected(advice.unwrap_or(EVENT))
     }
 
-    /// The next character that is no space.
+    /// Returns the next character that is not a space.
     fn peek(&mut self) -> Option<char> {
         while self.chars.get(self.at).is_some_and(|c| c.is_whitespace()) {
             self.at += 1;
@@ -190,7 +190,7 @@ impl Parser<'_> {
                     _ => Node::Maybe(boxed(item)),
                 };
                 self.at += 1;
-                // Each sign more is a level more for whoever walks through the tree.
+                // Each further sign would add a level to every recursion over the tree.
                 if matches!(self.peek(), Some('*' | '+' | '?' | '{')) {
                     return Err(self.expected("one sign of repetition for an event; use parentheses for more"));
                 }
@@ -203,7 +203,7 @@ impl Parser<'_> {
         Ok(if all.len() == 1 { all.remove(0) } else { Node::Sequence(all) })
     }
 
-    /// `{n}` or `{n,m}` behind an item: written out. Ends at the closing brace.
+    /// Parses `{n}` or `{n,m}` after an item and writes the repetitions out. Stops at the closing brace.
     fn times(&mut self, item: Node) -> Result<Node, ExpressionError> {
         const FORM: &str = "`{n}` or `{n,m}` with n <= m, at least 1 and at most 64 times";
         let start = self.at;
@@ -229,7 +229,7 @@ impl Parser<'_> {
         Ok(Node::Sequence(surely.chain(maybe).collect()))
     }
 
-    /// A whole number.
+    /// Parses a whole number.
     fn number(&mut self) -> Option<usize> {
         self.peek();
         let digits: String = self.chars[self.at..].iter().take_while(|c| c.is_ascii_digit()).collect();
@@ -266,7 +266,7 @@ impl Parser<'_> {
         }
     }
 
-    /// One event without brackets; `None`: there is none.
+    /// Parses one event without brackets; `None`: the next character begins no event.
     fn class(&mut self) -> Result<Option<Class>, ExpressionError> {
         let Some(next) = self.peek() else { return Ok(None) };
         let plain = |kinds| Ok(Some(Class { kinds, labels: None }));
@@ -287,7 +287,7 @@ impl Parser<'_> {
         }
     }
 
-    /// `[..]` or `[^..]`
+    /// Parses `[..]` or `[^..]`.
     fn bracket(&mut self) -> Result<Event, ExpressionError> {
         self.at += 1;
         let negated = self.take('^');
@@ -302,7 +302,7 @@ impl Parser<'_> {
         Ok(Event { any, negated })
     }
 
-    /// `<type scattering 'label'>`
+    /// Parses `<type scattering 'label'>`.
     fn angle(&mut self) -> Result<Class, ExpressionError> {
         self.at += 1;
         const TYPE: &str = "a type: `.`, one of C R T V L O B, or some of them in brackets";
@@ -316,7 +316,7 @@ impl Parser<'_> {
         let scattering = "a scattering (`.`, one of D G S, or some of them in brackets), a label in quotes, or `>`";
         let kinds = match self.part(scattering_of, scattering)? {
             None => kinds,
-            // Any scattering is also none, which lamps, the camera and fog have.
+            // Any scattering includes none: lamps, the camera and fog have no scattering letter.
             Some(ANY) => kinds,
             Some(scattering) => kinds & scattering,
         };
@@ -358,7 +358,8 @@ impl Parser<'_> {
         Ok(Class { kinds, labels })
     }
 
-    /// A letter, a dot, or letters in brackets; `None`: there is none. Brackets of labels are none.
+    /// Parses a letter, a dot, or letters in brackets; `None`: something else follows. Brackets with labels count as something
+    /// else.
     fn part(&mut self, of: fn(char) -> Option<u16>, wanted: &'static str) -> Result<Option<u16>, ExpressionError> {
         match self.peek() {
             Some('.') => {
@@ -396,7 +397,7 @@ impl Parser<'_> {
         if all.is_empty() { Err(self.expected("a label in quotes")) } else { Ok(all) }
     }
 
-    /// `'text'`, with `\'` for a quote and `\\` for a backslash.
+    /// Parses `'text'`, with `\'` for a quote and `\\` for a backslash.
     fn label(&mut self) -> Result<String, ExpressionError> {
         self.at += 1;
         let (start, mut label) = (self.at, String::new());

@@ -1,44 +1,44 @@
-//! Features: what the camera sees first, as layers that tell of no light.
+//! Features (AOVs): properties of the first hit of camera rays, stored as layers without light.
 
 use serde::{Deserialize, Serialize};
 
-/// Something about the first surface that a camera ray meets.
+/// A property of the first surface that a camera ray hits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Feature {
     /// The shading normal, unit, world frame, toward the camera.
     Normal,
-    /// Where it is, world frame, m.
+    /// Position of the hit, world frame, m.
     Position,
     /// Distance along the view axis, m.
     Depth,
-    /// Share of the light that it scatters, by color channel.
+    /// Fraction of the light that the surface scatters, by color channel.
     Albedo,
-    /// From where it is in the picture to where it will be in the next frame, pixels, x to the right and y down.
+    /// Motion from the position in the picture to the position in the next frame, pixels, x to the right and y down.
     Motion,
-    /// The innermost object that it is part of, by name.
+    /// Name of the innermost object that contains the surface.
     Object,
-    /// Its material, by name.
+    /// Name of the surface's material.
     Material,
 }
 
 impl Feature {
-    /// What they are called, in order.
+    /// Names of the features, in order.
     pub const NAMES: [&str; 7] = ["normal", "position", "depth", "albedo", "motion", "object", "material"];
     const ALL: [Self; 7] =
         [Self::Normal, Self::Position, Self::Depth, Self::Albedo, Self::Motion, Self::Object, Self::Material];
 
-    /// What it is called.
+    /// Returns the name.
     pub fn name(self) -> &'static str {
         Self::NAMES[self as usize]
     }
 
-    /// The feature of a name, if there is one.
+    /// Returns the feature with a name, if there is one.
     pub fn named(name: &str) -> Option<Self> {
         Self::NAMES.iter().position(|known| *known == name).map(|at| Self::ALL[at])
     }
 
-    /// Last parts of its channels' names, one for each number that is averaged: `normal.X`.
+    /// Returns the last parts of the channel names, one for each averaged number: `normal.X`.
     pub fn channels(self) -> &'static [&'static str] {
         match self {
             Self::Normal | Self::Position => &["X", "Y", "Z"],
@@ -49,7 +49,7 @@ impl Feature {
         }
     }
 
-    /// Of a feature that is a name, not numbers: the name of its Cryptomatte.
+    /// Returns the name of the Cryptomatte, for a feature that is a name instead of numbers.
     pub fn matte(self) -> Option<&'static str> {
         match self {
             Self::Object => Some("crypto_object"),
@@ -58,7 +58,7 @@ impl Feature {
         }
     }
 
-    /// Whether the channels of some feature begin with this.
+    /// Checks whether the channels of some feature begin with this name.
     pub(crate) fn has_channels(name: &str) -> bool {
         let is_matte = |feature: &Self| feature.matte().is_some_and(|matte| name.starts_with(matte));
         Self::named(name).is_some() || Self::ALL.iter().any(is_matte)

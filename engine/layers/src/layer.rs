@@ -1,4 +1,4 @@
-//! Layers: an expression under the name that its channels have.
+//! Layers: expressions with names for their channels.
 
 use crate::error::LayerError;
 use crate::expression::Expression;
@@ -7,29 +7,29 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::str::FromStr;
 
-/// Most layers of a frame: a bit each of a word.
+/// Maximum number of layers of a frame: one bit each in a word.
 pub const MOST_LAYERS: usize = 64;
 
-/// Channels that the file has besides those of layers.
+/// Names of other channels in the file, which layers cannot use.
 const TAKEN: [&str; 4] = ["samples", "variance", "coverage", "relative_error"];
 
-/// A layer as it is asked for.
+/// A layer as the user requests it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Layer {
-    /// What its channels are called.
+    /// Name of its channels.
     pub name: String,
-    /// Light path expression of the light that counts in it.
+    /// Light path expression that selects the light of the layer.
     pub expression: String,
 }
 
 impl Layer {
-    /// A layer of this name and expression.
+    /// Creates a layer with this name and expression.
     pub fn new(name: impl Into<String>, expression: impl Into<String>) -> Self {
         Self { name: name.into(), expression: expression.into() }
     }
 
-    /// Its expression.
-    /// - errors: the name or the expression is at fault.
+    /// Parses the expression.
+    /// - errors: the name or the expression is invalid.
     pub fn parse(&self) -> Result<Expression, LayerError> {
         let is_fit = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
         if !(1..=64).contains(&self.name.len()) || !self.name.chars().all(is_fit) {
@@ -52,7 +52,7 @@ impl FromStr for Layer {
     }
 }
 
-/// The expressions of all layers of a frame.
+/// Parses the expressions of all layers of a frame.
 pub fn parse_all(layers: &[Layer]) -> Result<Vec<Expression>, LayerError> {
     if layers.len() > MOST_LAYERS {
         return Err(LayerError::Many(layers.len()));

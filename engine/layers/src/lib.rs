@@ -1,11 +1,12 @@
-//! Light path expressions: which paths of light make a layer of a render; and features, layers of what the camera sees first.
+//! Light path expressions, which select the light paths of a layer of a render, and features, which are layers of first-hit
+//! properties.
 //!
 //! An [`Expression`] is a regular expression over the events of a path from the camera to a source, in the grammar of Open Shading
-//! Language. All expressions of a frame are compiled to one deterministic, minimal [`Automaton`]: a path carries one state, whatever
-//! the number of layers, and where light is found the state says which layers it counts in. The price is a table that may grow with the
-//! product of the expressions; what would take more than 65,535 states is refused.
+//! Language. All expressions of a frame are compiled to one deterministic, minimal [`Automaton`]. A path carries a single state,
+//! whatever the number of layers. When the path finds light, the state determines the layers that receive it. The price is a table
+//! that may grow with the product of the expressions; layers that need more than 65,535 states are refused.
 //!
-//! The crate knows neither scenes nor rays: objects, media and lamps are sets of labels to it ([`LabelSet`]).
+//! The crate does not depend on scenes or rays: objects, media and lamps are sets of labels here ([`LabelSet`]).
 #![deny(missing_docs)]
 
 mod automaton;

@@ -1,37 +1,38 @@
-//! Layers that are often asked for, by name.
+//! Named presets of common layers.
 
 use crate::error::LayerError;
 use crate::layer::Layer;
 use std::str::FromStr;
 
-/// Named layers.
+/// A named preset of layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Preset {
-    /// The five that guide stylization: all light, direct diffuse, direct specular, the first two diffuse bounces, diffuse interreflection.
+    /// The five layers that guide stylization: all light, direct diffuse, direct specular, the first two diffuse bounces, diffuse
+    /// interreflection.
     Guides,
-    /// One a lamp, or group of lamps: what of its light comes to the camera by any way.
+    /// One layer per lamp or group of lamps: all of its light that reaches the camera.
     Lamps,
-    /// What is seen of sources, and their light after it was scattered once.
+    /// Sources seen directly, and light that was scattered once.
     Direct,
-    /// Light that was scattered twice or more often.
+    /// Light that was scattered twice or more.
     Indirect,
     /// Light that was scattered in a medium.
     Fog,
-    /// Light that was not.
+    /// Light that was not scattered in a medium.
     Surfaces,
 }
 
 impl Preset {
-    /// What they are called, in order.
+    /// Names of the presets, in order.
     pub const NAMES: [&str; 6] = ["guides", "lamps", "direct", "indirect", "fog", "surfaces"];
     const ALL: [Self; 6] = [Self::Guides, Self::Lamps, Self::Direct, Self::Indirect, Self::Fog, Self::Surfaces];
 
-    /// What it is called.
+    /// Returns the name.
     pub fn name(self) -> &'static str {
         Self::NAMES[self as usize]
     }
 
-    /// Its layers.
+    /// Returns the layers of the preset.
     /// - `lamps`: labels of the scene's lamps.
     pub fn layers<'a>(self, lamps: impl IntoIterator<Item = &'a str>) -> Result<Vec<Layer>, LayerError> {
         let one = |expression: &str| Ok(vec![Layer::new(self.name(), expression)]);
@@ -65,14 +66,14 @@ impl Preset {
     }
 }
 
-/// A name for the channels of a lamp's layer, which none of `others` has.
+/// Returns a channel name for a lamp's layer that none of `others` has.
 fn name_of(lamp: &str, others: &[Layer]) -> String {
     let fit = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
     let mut base: String = lamp.trim_matches('/').chars().map(fit).take(48).collect();
     if base.is_empty() {
         base = "lamp".into();
     }
-    // So that no lamp's layer has the name of channels that the file has anyway.
+    // The prefix keeps lamp layers apart from the other channels of the file.
     let base = format!("lamp_{base}");
     let is_free = |name: &String| others.iter().all(|layer| layer.name != *name);
     let numbered = (2..).map(|number| format!("{base}_{number}"));

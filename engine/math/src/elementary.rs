@@ -1,12 +1,13 @@
-//! Elementary functions with the same bits on every machine: all from the `libm` crate.
+//! Elementary functions that return the same bits on every machine.
 //!
-//! `f32::sin` and its kin call the platform's libm, which differs between systems; square root, division and the other
-//! IEEE operations are exact and used directly. The price is a few nanoseconds a call on some targets.
+//! All of them come from the `libm` crate. `f32::sin` and its kin call the platform's libm, which differs between systems. Square
+//! root, division and the other IEEE operations are exact and are used directly. The price is a few nanoseconds per call on some
+//! targets.
 
 macro_rules! forward {
     ($($(#[$doc:meta])* $name:ident($($arg:ident),+) = $single:ident, $double:ident;)*) => {
         $($(#[$doc])* #[inline] pub fn $name($($arg: f32),+) -> f32 { libm::$single($($arg),+) })*
-        /// The same functions in double precision.
+        /// Elementary functions in double precision.
         pub mod double {
             $($(#[$doc])* #[inline] pub fn $name($($arg: f64),+) -> f64 { libm::$double($($arg),+) })*
             /// Sine and cosine of `x` radians.

@@ -14,7 +14,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame about `normal` (unit), continuous except at the sign change of z (\[duff2017\]).
+    /// Builds a frame about `normal` (unit), continuous except at the sign change of z (\[duff2017\]).
     #[inline]
     pub fn from_normal(normal: Vec3A) -> Self {
         let sign = 1.0f32.copysign(normal.z);
@@ -27,13 +27,13 @@ impl Frame {
         }
     }
 
-    /// World direction to frame coordinates.
+    /// Converts a world direction to frame coordinates.
     #[inline]
     pub fn to_local(&self, v: Vec3A) -> Vec3A {
         Vec3A::new(v.dot(self.tangent), v.dot(self.bitangent), v.dot(self.normal))
     }
 
-    /// Frame coordinates to world direction.
+    /// Converts frame coordinates to a world direction.
     #[inline]
     pub fn to_world(&self, v: Vec3A) -> Vec3A {
         self.tangent * v.x + self.bitangent * v.y + self.normal * v.z

@@ -1,6 +1,6 @@
-//! Integer hashes: the source of all randomness that is not a Sobol point.
+//! Integer hashes: the source of all randomness except for Sobol points.
 
-/// A bijective 32-bit mixer (\[wellons2018\], `lowbias32`).
+/// Mixes 32 bits bijectively (\[wellons2018\], `lowbias32`).
 #[inline]
 pub fn mix32(mut x: u32) -> u32 {
     x ^= x >> 16;
@@ -10,7 +10,7 @@ pub fn mix32(mut x: u32) -> u32 {
     x ^ (x >> 16)
 }
 
-/// A bijective 64-bit mixer (the finaliser of SplitMix64, \[steele2014\]).
+/// Mixes 64 bits bijectively (the finalizer of SplitMix64, \[steele2014\]).
 #[inline]
 pub fn mix64(mut x: u64) -> u64 {
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -18,19 +18,19 @@ pub fn mix64(mut x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// Hash of a sequence of words; the order matters.
+/// Hashes a sequence of words; the order matters.
 #[inline]
 pub fn combine(words: &[u64]) -> u64 {
     begun(words).end(&[])
 }
 
-/// The hash of a sequence whose first words are known: of many sequences that begin alike it is made of them once.
+/// Hashes the first words of a sequence. Sequences with a common prefix share this work.
 #[inline]
 pub fn begun(words: &[u64]) -> Begun {
     Begun(0x9e37_79b9_7f4a_7c15).and(words)
 }
 
-/// See [`begun`].
+/// Hash of the first words of a sequence, see [`begun`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Begun(u64);
 
@@ -40,14 +40,14 @@ impl Begun {
         Self(words.iter().fold(self.0, |h, w| mix64(h ^ w).wrapping_add(0x9e37_79b9_7f4a_7c15)))
     }
 
-    /// [`combine`] of the first words and these.
+    /// Returns the [`combine`] hash of the first words followed by `words`.
     #[inline]
     pub fn end(self, words: &[u64]) -> u64 {
         mix64(self.and(words).0)
     }
 }
 
-/// The 24 high bits of `x` as a float in [0, 1).
+/// Converts the 24 high bits of `x` to a float in [0, 1).
 #[inline]
 pub fn unit_f32(x: u32) -> f32 {
     (x >> 8) as f32 * (1.0 / 16_777_216.0)

@@ -1,8 +1,8 @@
-//! Shared mathematics: the glam re-export, elementary functions with the same bits on every machine,
-//! orthonormal frames, warps, counter-based randomness and scrambled Sobol points.
+//! Shared mathematics: the glam re-export, elementary functions with the same bits on every machine, orthonormal frames, warps,
+//! counter-based randomness and scrambled Sobol points.
 //!
-//! Everything here is a pure function of its arguments. Transcendental functions come from the `libm` crate
-//! (see [`elementary`]) and never from the platform, so that a mixed farm renders one picture.
+//! Everything here is a pure function of its arguments. Transcendental functions come from the `libm` crate (see [`elementary`])
+//! and never from the platform, so all machines of a mixed farm render the same picture.
 #![deny(missing_docs)]
 
 pub mod color;
@@ -19,7 +19,8 @@ pub use glam;
 pub use sampler::SampleStream;
 pub use transform::Transform;
 
-/// The cross product, each of its products rounded. glam's own fuses one where the compiler may use FMA, and has other bits there.
+/// Computes the cross product and rounds each product. The function of glam fuses one product where the compiler may use FMA, so
+/// its bits depend on the target.
 #[inline]
 pub fn cross(a: glam::Vec3A, b: glam::Vec3A) -> glam::Vec3A {
     use glam::Vec3Swizzles;

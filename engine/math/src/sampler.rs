@@ -1,18 +1,18 @@
 //! Owen-scrambled Sobol points, keyed by (seed, frame, pixel, sample, dimension).
 //!
-//! The samples of a pixel are dealt in turn to [`REPLICATES`] **replicates**, which are independent of each other: from the
-//! differences of their means the variance of the pixel's mean is estimated without bias, which a single stratified set does not
-//! allow (its halves lack what the other has). Within a replicate each pair of dimensions is a (0,2)-sequence whose index order is
-//! shuffled and whose digits are scrambled by hashes of (seed, frame, pixel, replicate, dimension) (\[burley2020\]). Pairs are
-//! therefore independent of each other (padding) and each is stratified over every power-of-two run of a replicate's samples. A
-//! stream holds no state but its dimension counter, so any sample of any pixel can be redrawn anywhere.
+//! The samples of a pixel go in turn to [`REPLICATES`] **replicates**, which are independent of each other. The differences of the
+//! replicates' means give an unbiased estimate of the variance of the pixel's mean. A single stratified set does not allow this,
+//! because its halves depend on each other. Within a replicate, each pair of dimensions is a (0,2)-sequence. Hashes of (seed,
+//! frame, pixel, replicate, dimension) shuffle its index order and scramble its digits (\[burley2020\]). Pairs are therefore
+//! independent of each other (padding), and each is stratified over every power-of-two run of a replicate's samples. A stream holds
+//! no state but its dimension counter, so any sample of any pixel can be redrawn anywhere.
 
 use crate::hash::{mix32, mix64, unit_f32};
 
-/// Independent parts of a pixel's samples.
+/// Number of independent parts of a pixel's samples.
 pub const REPLICATES: usize = 4;
 
-/// The replicate of sample number `sample` of a pixel.
+/// Returns the replicate of sample number `sample` of a pixel.
 #[inline]
 pub const fn replicate_of(sample: u32) -> usize {
     sample as usize % REPLICATES
@@ -38,10 +38,10 @@ fn scramble_reversed(mut x: u32, seed: u32) -> u32 {
     x.reverse_bits()
 }
 
-/// Second Sobol dimension (Pascal's triangle modulo 2) of `index`, as the digit-reversed 32-bit fraction.
+/// Computes the second Sobol dimension (Pascal's triangle modulo 2) of `index`, as the digit-reversed 32-bit fraction.
 #[inline]
 fn pascal_reversed(index: u32) -> u32 {
-    // The generator matrix C[i][j] = binomial(j, i) mod 2 applied by five shift-and-xor steps, least significant digit first.
+    // Five shift-and-xor steps apply the generator matrix C[i][j] = binomial(j, i) mod 2, least significant digit first.
     let mut x = index;
     x ^= (x & 0xaaaa_aaaa) >> 1;
     x ^= (x & 0xcccc_cccc) >> 2;
@@ -52,7 +52,7 @@ fn pascal_reversed(index: u32) -> u32 {
 }
 
 impl SampleStream {
-    /// The stream of `sample` in `pixel` (row-major index in the whole film) of `frame`.
+    /// Creates the stream of `sample` in `pixel` (row-major index in the whole film) of `frame`.
     #[inline]
     pub fn new(seed: u64, frame: u32, pixel: u32, sample: u32) -> Self {
         let place = mix64(mix64(seed ^ 0x6a09_e667_f3bc_c908) ^ ((u64::from(frame) << 32) | u64::from(pixel)));
@@ -60,29 +60,29 @@ impl SampleStream {
         Self { key, index: sample / REPLICATES as u32, dimension: 0 }
     }
 
-    /// Continues at `dimension`; decisions of a path start at fixed dimensions so that one branch does not shift another.
+    /// Continues at `dimension`. Decisions of a path start at fixed dimensions, so one branch does not shift another.
     #[inline]
     pub fn seek(&mut self, dimension: u32) {
         self.dimension = dimension;
     }
 
-    /// The dimension that the next draw uses.
+    /// Returns the dimension that the next draw uses.
     #[inline]
     pub fn dimension(&self) -> u32 {
         self.dimension
     }
 
-    /// The next number in [0, 1). Takes one dimension.
+    /// Draws the next number in [0, 1). Takes one dimension.
     #[inline]
     pub fn next_1d(&mut self) -> f32 {
         let h = mix64(self.key.wrapping_add(u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
         self.dimension += 1;
         let shuffled = scramble_reversed(self.index.reverse_bits(), h as u32);
-        // Digit-reversed digits of the radical inverse of `shuffled` are `shuffled` itself.
+        // `shuffled` already is the digit-reversed form of its radical inverse.
         unit_f32(scramble_reversed(shuffled, (h >> 32) as u32))
     }
 
-    /// The next point in [0, 1)^2. Takes two dimensions.
+    /// Draws the next point in [0, 1)^2. Takes two dimensions.
     #[inline]
     pub fn next_2d(&mut self) -> [f32; 2] {
         let h = mix64(self.key.wrapping_add(u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn pairs_of_dimensions_and_pixels_are_independent() {
-        // Correlation between dimensions 0 and 2 over pixels, and between neighbouring pixels, at the 4-sigma level.
+        // Correlation between dimensions 0 and 2 over pixels, and between neighboring pixels, at the 4-sigma level.
         let n = 20_000;
         let (mut dims, mut pixels) = (0.0f64, 0.0f64);
         for pixel in 0..n {
@@ -142,8 +142,8 @@ mod tests {
 
     #[test]
     fn replicates_are_independent_though_each_is_stratified() {
-        // The mean of the first coordinate by each replicate deviates from 1/2 by about (12 n^3)^-1/2; the product of two such
-        // deviations has the mean 0 over pixels, and the square of one the variance of stratified points, not of random ones.
+        // Each replicate's mean of the first coordinate deviates from 1/2 by about (12 n^3)^-1/2. Over pixels, the product of two
+        // such deviations has mean 0, and the square of one has the variance of stratified points, not of random ones.
         let (pixels, n) = (10_000, 8u32);
         let (mut product, mut squared, mut of_product) = (0.0f64, 0.0f64, 0.0f64);
         for pixel in 0..pixels {

@@ -1,11 +1,11 @@
-//! Affine transforms in double precision, as descriptions hold them.
+//! Affine transforms in double precision, as used in scene descriptions.
 
 use glam::{DAffine3, DMat3, DVec3};
 
-/// An affine map of points, metres to metres; kept in f64 until a frame is prepared.
+/// An affine map of points, meters to meters; kept in f64 until a frame is prepared.
 pub type Transform = DAffine3;
 
-/// Maps the normal `n` by `transform` (inverse transpose, with the determinant's sign, so that a mirror turns normals
+/// Maps the normal `n` by `transform` (inverse transpose, with the determinant's sign, so that a mirror keeps normals consistent
 /// with the surface's right-hand orientation). Returns a unit vector, or zero when the map is singular.
 pub fn transform_normal(transform: &Transform, n: DVec3) -> DVec3 {
     let m = transform.matrix3;

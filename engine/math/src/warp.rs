@@ -4,7 +4,7 @@ use crate::elementary::sin_cos;
 use glam::{Vec2, Vec3A};
 use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, FRAC_PI_4, TAU};
 
-/// Uniform point in the unit disc, concentric map (\[shirley1997\]); density 1/pi.
+/// Maps to a uniform point in the unit disc, concentric map (\[shirley1997\]); density 1/pi.
 #[inline]
 pub fn disc(u: [f32; 2]) -> Vec2 {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
@@ -16,26 +16,26 @@ pub fn disc(u: [f32; 2]) -> Vec2 {
     Vec2::new(r * cos, r * sin)
 }
 
-/// Cosine-distributed direction about +z; density `cos / pi`.
+/// Maps to a cosine-distributed direction about +z; density `cos / pi`.
 #[inline]
 pub fn cosine_hemisphere(u: [f32; 2]) -> Vec3A {
     let d = disc(u);
     Vec3A::new(d.x, d.y, (1.0 - d.length_squared()).max(0.0).sqrt())
 }
 
-/// Density of [`cosine_hemisphere`], 1/sr, for a direction with cosine `cos` (0 below the horizon).
+/// Returns the density of [`cosine_hemisphere`], 1/sr, for a direction with cosine `cos` (0 below the horizon).
 #[inline]
 pub fn cosine_hemisphere_pdf(cos: f32) -> f32 {
     cos.max(0.0) * FRAC_1_PI
 }
 
-/// Uniform direction on the sphere; density 1/(4 pi).
+/// Maps to a uniform direction on the sphere; density 1/(4 pi).
 #[inline]
 pub fn sphere(u: [f32; 2]) -> Vec3A {
     direction(1.0 - 2.0 * u[0], u[1])
 }
 
-/// Unit vector with z = `cos` and azimuth `2 pi u`.
+/// Returns the unit vector with z = `cos` and azimuth `2 pi u`.
 #[inline]
 pub fn direction(cos: f32, u: f32) -> Vec3A {
     let sin = ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt();
@@ -43,7 +43,7 @@ pub fn direction(cos: f32, u: f32) -> Vec3A {
     Vec3A::new(sin * c, sin * s, cos)
 }
 
-/// Unit vector with 1 - z = `versine`, 0 to 2, and azimuth `2 pi u`: as near to the axis as the versine says.
+/// Returns the unit vector with 1 - z = `versine`, 0 to 2, and azimuth `2 pi u`. Small versines keep their precision near the axis.
 #[inline]
 pub fn about(versine: f64, u: f32) -> Vec3A {
     let versine = versine.clamp(0.0, 2.0);
@@ -52,7 +52,7 @@ pub fn about(versine: f64, u: f32) -> Vec3A {
     Vec3A::new(sin * c, sin * s, (1.0 - versine) as f32)
 }
 
-/// Uniform barycentric coordinates (b1, b2) on a triangle, low distortion (\[heitz2019\]).
+/// Maps to uniform barycentric coordinates (b1, b2) on a triangle, low distortion (\[heitz2019\]).
 #[inline]
 pub fn triangle(u: [f32; 2]) -> [f32; 2] {
     if u[1] > u[0] {

@@ -1,4 +1,4 @@
-//! AVX2: one register a vector, no fused multiply-add.
+//! The AVX2 instruction set: one register per vector, no fused multiply-add.
 
 use super::{Lanes, Simd, Task, Vector, WIDTH, sealed::Sealed};
 use std::{
@@ -7,14 +7,14 @@ use std::{
     ops::{Add, BitAnd, BitOr, Div, Mul, Sub},
 };
 
-/// Proof that the processor has AVX2 and the bit instructions that come with it.
+/// Token that proves that the processor has AVX2 and the bit instructions that come with it.
 #[derive(Clone, Copy, Debug)]
 pub struct Token(());
 
 #[derive(Clone, Copy)]
 pub struct Floats(__m256);
 
-/// Entry `m`: the set bits of `m`, one lane number a byte.
+/// Table of lane numbers: entry `m` lists the set bits of `m`, one lane number per byte.
 static COMPRESS: [u64; 256] = {
     let mut table = [0; 256];
     let mut mask = 0;
@@ -48,7 +48,7 @@ impl Token {
         fn run<T: Task>(token: Token, task: T) -> T::Output {
             task.run(token)
         }
-        // SAFETY: a token exists only where `detect` has found these features.
+        // SAFETY: a token exists only if `detect` has found these features.
         unsafe { run(self, task) }
     }
 }
@@ -59,7 +59,7 @@ macro_rules! operators {
             type Output = Self;
             #[inline(always)]
             fn $method(self, other: Self) -> Self {
-                // SAFETY: vectors are made from a token, which proves AVX2.
+                // SAFETY: a vector can only be made from a token, which proves AVX2.
                 Self(unsafe { $intrinsic(self.0, other.0) })
             }
         }
@@ -79,7 +79,7 @@ macro_rules! methods {
     ($($method:ident $intrinsic:ident $(::<$comparison:ident>)?;)*) => {$(
         #[inline(always)]
         fn $method(self, other: Self) -> Self {
-            // SAFETY: vectors are made from a token, which proves AVX2.
+            // SAFETY: a vector can only be made from a token, which proves AVX2.
             Self(unsafe { $intrinsic$(::<$comparison>)?(self.0, other.0) })
         }
     )*};
@@ -95,17 +95,17 @@ impl Vector for Floats {
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        // SAFETY: vectors are made from a token, which proves AVX2.
+        // SAFETY: a vector can only be made from a token, which proves AVX2.
         Self(unsafe { _mm256_sqrt_ps(self.0) })
     }
     #[inline(always)]
     fn select(self, yes: Self, no: Self) -> Self {
-        // SAFETY: vectors are made from a token, which proves AVX2.
+        // SAFETY: a vector can only be made from a token, which proves AVX2.
         Self(unsafe { _mm256_blendv_ps(no.0, yes.0, self.0) })
     }
     #[inline(always)]
     fn signs(self) -> u32 {
-        // SAFETY: vectors are made from a token, which proves AVX2.
+        // SAFETY: a vector can only be made from a token, which proves AVX2.
         unsafe { _mm256_movemask_ps(self.0) as u32 }
     }
     #[inline(always)]
@@ -135,7 +135,7 @@ impl Simd for Token {
     fn compress(self, mask: u32, high: Floats, low: &[u32; WIDTH], room: &mut [MaybeUninit<u64>; WIDTH]) -> usize {
         let mask = mask & 255;
         let room = room.as_mut_ptr().cast::<__m256i>();
-        // SAFETY: the token proves AVX2. `low` is eight u32; the room is eight u64, written whole.
+        // SAFETY: the token proves AVX2. `low` holds eight u32; `room` holds eight u64 and is fully written.
         unsafe {
             let places = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(COMPRESS[mask as usize] as i64));
             let low = _mm256_loadu_si256(low.as_ptr().cast());

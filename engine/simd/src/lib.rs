@@ -1,8 +1,8 @@
 //! Vectors of eight floats, and the choice of the instruction set at run time.
 //!
-//! A [`Level`] holds the token of the best instruction set that the processor has; tokens are what vectors are made from, so code for an
-//! instruction set cannot be reached without it. All instruction sets do the same IEEE operations (no fused multiply-add): work that
-//! is written once over [`Simd`] gives the same bits on all of them.
+//! A [`Level`] holds the token of the best instruction set that the processor has. Vectors can only be made from a token, so code
+//! for an instruction set cannot be reached without it. All instruction sets do the same IEEE operations (no fused multiply-add),
+//! so code that is written once over [`Simd`] gives the same bits on all of them.
 #![deny(missing_docs)]
 #![expect(unsafe_code, reason = "measured: intrinsics trace 1.6 times the rays of the portable twin")]
 
@@ -13,7 +13,7 @@ mod portable;
 use std::mem::MaybeUninit;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
 
-/// Lanes of a vector.
+/// Number of lanes of a vector.
 pub const WIDTH: usize = 8;
 
 /// Eight floats, aligned for one vector load.
@@ -36,49 +36,49 @@ pub trait Vector:
     + BitAnd<Output = Self>
     + BitOr<Output = Self>
 {
-    /// The lesser of each lane.
+    /// Returns the lesser of each pair of lanes.
     fn min(self, other: Self) -> Self;
-    /// The greater of each lane.
+    /// Returns the greater of each pair of lanes.
     fn max(self, other: Self) -> Self;
-    /// Mask of `self <= other`; false for NaN, like the other comparisons.
+    /// Returns the mask of `self <= other`; false for NaN, like the other comparisons.
     fn le(self, other: Self) -> Self;
-    /// Mask of `self < other`.
+    /// Returns the mask of `self < other`.
     fn lt(self, other: Self) -> Self;
-    /// Mask of `self == other`.
+    /// Returns the mask of `self == other`.
     fn equal(self, other: Self) -> Self;
-    /// Square root of each lane.
+    /// Returns the square root of each lane.
     fn sqrt(self) -> Self;
-    /// `self`, a mask, chooses: lanes of `yes` where it is set, of `no` elsewhere.
+    /// Selects lanes: `yes` where the mask `self` is set, `no` elsewhere.
     fn select(self, yes: Self, no: Self) -> Self;
-    /// Sign bits, lane 0 lowest.
+    /// Returns the sign bits, lane 0 lowest.
     fn signs(self) -> u32;
-    /// The lanes in memory.
+    /// Stores the lanes in memory.
     fn lanes(self) -> Lanes;
 }
 
 /// An instruction set. Only this crate can implement it: the caller's `unsafe` code trusts the number that [`Simd::compress`] returns.
 pub trait Simd: Copy + sealed::Sealed {
-    /// Its vectors.
+    /// Vector type of this instruction set.
     type V: Vector;
-    /// `x` in every lane.
+    /// Makes a vector with `x` in every lane.
     fn splat(self, x: f32) -> Self::V;
-    /// Lanes from memory.
+    /// Loads lanes from memory.
     fn load(self, lanes: &Lanes) -> Self::V;
-    /// Packs the lanes that `mask` names: each becomes one entry of `room`, with the lane of `high` in its upper 32 bits and that of `low` in
-    /// its lower 32. Returns the number of entries that were written, from the first on.
+    /// Packs the lanes that `mask` selects. Each becomes one entry of `room`, with the lane of `high` in its upper 32 bits and the
+    /// lane of `low` in its lower 32 bits. Entries are written from the first on. Returns the number of written entries.
     fn compress(self, mask: u32, high: Self::V, low: &[u32; WIDTH], room: &mut [MaybeUninit<u64>; WIDTH]) -> usize;
 }
 
 mod sealed {
-    /// Keeps [`super::Simd`] to this crate.
+    /// Prevents other crates from implementing [`super::Simd`].
     pub trait Sealed {}
 }
 
 /// Work that is compiled for each instruction set.
 pub trait Task {
-    /// What comes of it.
+    /// Result of the work.
     type Output;
-    /// Does the work. Implementations must be `#[inline(always)]`, else they are compiled for the base instruction set.
+    /// Does the work. Implementations must be `#[inline(always)]`, otherwise they are compiled for the base instruction set.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
@@ -103,7 +103,7 @@ impl Level {
     /// Plain arrays, on every processor.
     pub const PORTABLE: Self = Self(Kind::Portable);
 
-    /// The best that this processor has.
+    /// Returns the best level that this processor has.
     pub fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
         if let Some(token) = avx2::Token::detect() {
@@ -112,7 +112,7 @@ impl Level {
         Self::PORTABLE
     }
 
-    /// Does `task` by this instruction set.
+    /// Runs `task` with this instruction set.
     #[inline(always)]
     pub fn run<T: Task>(self, task: T) -> T::Output {
         match self.0 {
@@ -127,7 +127,7 @@ impl Level {
 mod tests {
     use super::*;
 
-    /// Bits of everything that vectors do, of two numbers a lane.
+    /// Task that returns the bits of every vector operation on two numbers per lane.
     struct All<'a>(&'a Lanes, &'a Lanes);
 
     impl Task for All<'_> {
@@ -150,14 +150,14 @@ mod tests {
                 less.select(a, b),
                 simd.splat(3.0) * a,
             ];
-            // Of a number that is none the bits may differ; that it is none may not.
+            // The bits of a NaN may differ between instruction sets, but NaN must stay NaN.
             let bits = |x: f32| u64::from(if x.is_nan() { u32::MAX } else { x.to_bits() });
             let mut out: Vec<_> = vectors.iter().flat_map(|v| v.lanes().0.map(bits)).collect();
             out.push(u64::from(less.signs()));
             for mask in 0..256 {
                 let mut room = [const { MaybeUninit::uninit() }; WIDTH];
                 let count = simd.compress(mask, a, &[0, 1, 2, 3, 4, 5, 6, 7], &mut room);
-                // SAFETY: so many were written.
+                // SAFETY: the first `count` entries were written.
                 out.extend(room[..count].iter().map(|entry| unsafe { entry.assume_init() }));
                 out.push(count as u64);
             }

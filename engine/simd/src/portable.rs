@@ -1,10 +1,10 @@
-//! The portable twin: plain arrays, of which the compiler makes what vectors it can (SSE2, NEON).
+//! The portable instruction set: plain arrays, which the compiler vectorizes where it can (SSE2, NEON).
 
 use super::{Lanes, Simd, Vector, WIDTH, sealed::Sealed};
 use std::mem::MaybeUninit;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
 
-/// Plain arrays: the compiler makes what vectors it can of them.
+/// Plain arrays, which the compiler vectorizes where it can.
 #[derive(Clone, Copy, Debug)]
 pub struct Token;
 

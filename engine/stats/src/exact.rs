@@ -1,12 +1,12 @@
 //! Exact sums of non-negative numbers: fixed point in 128 bits, so that addition is integer addition.
 //!
-//! A floating-point sum depends on the order of its terms; an integer sum does not. Each term is rounded once, to the
-//! nearest multiple of `2^-FRACTION` (a function of the term alone), and everything after that is exact: associative,
-//! commutative, the same for any number of workers, tiles and restarts.
+//! A floating-point sum depends on the order of its terms; an integer sum does not. Each term is rounded once, to the nearest
+//! multiple of `2^-FRACTION` (a function of the term alone), and everything after that is exact: associative, commutative, the same
+//! for any number of workers, tiles and restarts.
 //!
-//! The price is a bounded range, `2^(128 - FRACTION)`. Terms are non-negative, so a saturated sum stays saturated
-//! whatever is added before or after: saturation, too, does not depend on the order, and needs no counter beside the sum.
-//! The cost of an addition is a few integer instructions.
+//! The price is a bounded range, `2^(128 - FRACTION)`. Terms are non-negative, so a saturated sum stays saturated whatever is added
+//! before or after. Saturation therefore does not depend on the order either, and needs no counter beside the sum. An addition
+//! costs a few integer instructions.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +16,7 @@ pub type RadianceSum = ExactSum<60>;
 /// Sum of squared radiances: quantum 2^-40 (9.1e-13), range 2^88 (3e26: 3e6 samples of 1e10 cd/m2).
 pub type SquareSum = ExactSum<40>;
 
-/// Why a term was not added.
+/// Reason for refusing a term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, thiserror::Error)]
 pub enum Refused {
     /// The term is not a number.
@@ -39,19 +39,19 @@ pub enum Refused {
 pub struct ExactSum<const FRACTION: u32>(u128);
 
 impl<const FRACTION: u32> ExactSum<FRACTION> {
-    /// The sum from its units of `2^-FRACTION`, as [`units`](Self::units) gave them.
+    /// Creates the sum from its units of `2^-FRACTION`, as [`units`](Self::units) returned them.
     #[inline]
     pub const fn from_units(units: u128) -> Self {
         Self(units)
     }
 
-    /// The sum in units of `2^-FRACTION`.
+    /// Returns the sum in units of `2^-FRACTION`. Returns the sum in units of `2^-FRACTION`.
     #[inline]
     pub const fn units(self) -> u128 {
         self.0
     }
 
-    /// `term` in units of `2^-FRACTION`, halves rounded up; saturates.
+    /// Converts `term` to units of `2^-FRACTION`, halves rounded up; saturates.
     /// - errors: the term is NaN, infinite or negative (negative zero counts as zero).
     #[inline]
     pub fn quantize(term: f64) -> Result<u128, Refused> {
@@ -60,7 +60,7 @@ impl<const FRACTION: u32> ExactSum<FRACTION> {
         let bits = term.to_bits();
         let exponent = (bits >> MANTISSA) as i32;
         if !(0..2047).contains(&exponent) {
-            // The sign is bit 11 of what is left of the shift, so negative numbers land here too.
+            // The sign is bit 11 of the shifted value, so negative numbers land here too.
             return match term {
                 t if t.is_nan() => Err(Refused::NotANumber),
                 t if t.is_infinite() => Err(Refused::Infinite),
@@ -81,8 +81,8 @@ impl<const FRACTION: u32> ExactSum<FRACTION> {
         })
     }
 
-    /// Adds `mantissa * 2^exponent`, rounded once, halves up: the hot loop's way past [`quantize`](Self::quantize), with the
-    /// same result (test `parts_and_doubles_are_added_alike`).
+    /// Adds `mantissa * 2^exponent`, rounded once, halves up. The hot loop calls this instead of [`quantize`](Self::quantize), with
+    /// the same result (test `parts_and_doubles_are_added_alike`).
     #[inline]
     pub fn add_parts(&mut self, mantissa: u64, exponent: i32) {
         let shift = exponent + FRACTION as i32;
@@ -99,7 +99,7 @@ impl<const FRACTION: u32> ExactSum<FRACTION> {
         self.0 = self.0.saturating_add(units);
     }
 
-    /// Adds `term`, rounded once. An error leaves the sum as it was; the caller counts it.
+    /// Adds `term`, rounded once. An error leaves the sum unchanged; the caller counts it.
     #[inline]
     pub fn add(&mut self, term: f64) -> Result<(), Refused> {
         self.0 = self.0.saturating_add(Self::quantize(term)?);
@@ -112,23 +112,23 @@ impl<const FRACTION: u32> ExactSum<FRACTION> {
         self.0 = self.0.saturating_add(other.0);
     }
 
-    /// The sum as the nearest double, in the unit of the terms.
+    /// Returns the sum as the nearest double, in the unit of the terms.
     #[inline]
     pub fn value(self) -> f64 {
         const { assert!(FRACTION < 128) };
         self.0 as f64 / (1u128 << FRACTION) as f64
     }
 
-    /// Whether the sum has left its range and is only a lower bound now.
+    /// Returns whether the sum has left its range and is now only a lower bound.
     #[inline]
     pub const fn is_saturated(self) -> bool {
         self.0 == u128::MAX
     }
 }
 
-/// Exact sums of `N` numbers that come together, such as the channels of a color, for hot loops: terms are added up in doubles as long as
-/// no bit of them is lost, and the doubles in fixed point at the end. The sums are those of [`ExactSum`], to the bit (test
-/// `buffered_sums_are_the_exact_ones`), for half of its instructions.
+/// Exact sums of `N` numbers that arrive together, such as the channels of a color, for hot loops. Terms are summed in doubles
+/// while no bit is lost; the doubles are added to the fixed-point sums at the end. The sums equal those of [`ExactSum`] to the bit
+/// (test `buffered_sums_are_the_exact_ones`) and take half of the instructions.
 #[derive(Clone, Copy, Debug)]
 pub struct BufferedSums<const FRACTION: u32, const N: usize> {
     /// Sums of terms that are multiples of the quantum.
@@ -143,17 +143,17 @@ impl<const FRACTION: u32, const N: usize> Default for BufferedSums<FRACTION, N> 
 }
 
 impl<const FRACTION: u32, const N: usize> BufferedSums<FRACTION, N> {
-    /// Floats from here on are multiples of the quantum: `2^(23 - FRACTION)`.
+    /// Smallest float from which all floats are multiples of the quantum: `2^(23 - FRACTION)`.
     const COARSE: f32 = f32::from_bits((127 + 23 - FRACTION) << 23);
 
-    /// Adds terms that are finite and not negative; others are left out.
+    /// Adds terms that are finite and not negative; ignores other terms.
     #[inline]
     pub fn add(&mut self, terms: [f32; N]) {
         let (mut sums, mut is_exact) = ([0.0; N], true);
         for (at, term) in terms.into_iter().enumerate() {
             let (wide, had) = (f64::from(term), self.buffer[at]);
             let sum = had + wide;
-            // No bit of either is lost where both come back.
+            // No bit is lost if subtracting either operand gives back the other.
             is_exact &= (sum - had == wide) & (sum - wide == had) & ((term >= Self::COARSE) | (term == 0.0));
             sums[at] = sum;
         }
@@ -164,7 +164,7 @@ impl<const FRACTION: u32, const N: usize> BufferedSums<FRACTION, N> {
         }
     }
 
-    /// Adds terms some of which do not fit the buffer. It goes on with the larger ones.
+    /// Adds terms of which some do not fit the buffer. The buffer keeps the larger of the term and its own value.
     #[cold]
     fn add_apart(&mut self, terms: [f32; N]) {
         for ((term, buffer), sum) in terms.into_iter().zip(&mut self.buffer).zip(&mut self.sums) {
@@ -172,12 +172,12 @@ impl<const FRACTION: u32, const N: usize> BufferedSums<FRACTION, N> {
             if term >= Self::COARSE && term.is_finite() && apart > *buffer {
                 std::mem::swap(&mut apart, buffer);
             }
-            // Refused is what the caller was not to add.
+            // Refused terms are those that must be ignored.
             let _ = sum.add(apart);
         }
     }
 
-    /// The sums of all terms.
+    /// Returns the sums of all terms.
     pub fn finish(self) -> [ExactSum<FRACTION>; N] {
         let mut sums = self.sums;
         sums.iter_mut()
@@ -272,7 +272,7 @@ mod tests {
             let x = x * 2f64.powi(e);
             let scaled = x * 2f64.powi(40);
             let expected = if scaled < 2f64.powi(52) { (scaled + 0.5).floor() as u128 } else { scaled as u128 };
-            // (scaled + 0.5) is exact below 2^52, but for terms within 2^-53 of a half: allow the one unit there.
+            // (scaled + 0.5) is exact below 2^52, except for terms within 2^-53 of a half: allow the one unit there.
             prop_assert!(ExactSum::<40>::quantize(x).unwrap().abs_diff(expected) <= u128::from(scaled < 0.5));
         }
 

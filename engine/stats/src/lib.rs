@@ -1,7 +1,7 @@
 //! Statistics that merge to the same bits in any order, and the statistical tests of the test suites.
 //!
-//! [`exact`] holds sums whose value depends on the set of the terms alone, not on their order or grouping: a farm of any
-//! size adds up one picture. `testing` (feature `testing`) holds chi-square and z tests for samplers and estimators.
+//! [`exact`] holds sums whose value depends only on the set of the terms, not on their order or grouping, so a farm of any size
+//! adds up to the same picture. `testing` (feature `testing`) holds chi-square and z tests for samplers and estimators.
 #![deny(missing_docs)]
 
 pub mod exact;

@@ -1,14 +1,14 @@
-//! Patches in few dimensions: principal components. Of hundreds of values of a patch 16 components keep most of the variance.
+//! Principal components of patches. 16 components keep most of the variance of the hundreds of values of a patch.
 
 use crate::Patches;
 use femc_math::hash::mix32;
 use rayon::prelude::*;
 
-/// Coordinates of a point: the principal components.
+/// Number of coordinates of a point, one per principal component.
 pub const DIMENSIONS: usize = 16;
-/// A patch in few dimensions.
+/// A patch as coordinates along the principal components.
 pub type Point = [f32; DIMENSIONS];
-/// Patches of which the components are found.
+/// Number of patches from which the components are computed.
 const SAMPLES: usize = 2048;
 /// Rounds of subspace iteration: the components need not be exact, only orthogonal.
 const ROUNDS: usize = 5;
@@ -17,12 +17,12 @@ const ROUNDS: usize = 5;
 #[derive(Clone, Debug)]
 pub struct Basis {
     mean: Vec<f32>,
-    /// Orthonormal, or zero where the patches have fewer dimensions.
+    /// Axes, orthonormal, or zero where the patches have fewer dimensions.
     axes: Vec<Vec<f32>>,
 }
 
 impl Basis {
-    /// The components of a sample of its patches, by subspace iteration.
+    /// Computes the components of a sample of `patches`, by subspace iteration.
     pub fn of(patches: &Patches) -> Self {
         let (count, values) = (patches.grid().count(), patches.patch_values());
         let samples = count.min(SAMPLES);
@@ -49,7 +49,7 @@ impl Basis {
         Self { mean, axes }
     }
 
-    /// The points of all patches, by number. `patches` has as many channels as that of the components.
+    /// Returns the points of all patches, by number. `patches` has as many channels as the patches of the components.
     pub fn points(&self, patches: &Patches) -> Vec<Point> {
         let room = || vec![0.0; self.mean.len()];
         let all = (0..patches.grid().count() as u32).into_par_iter();
@@ -65,12 +65,12 @@ impl Basis {
     }
 }
 
-/// `to += factor * from`.
+/// Adds `factor * from` to `to`.
 fn add(to: &mut [f32], factor: f32, from: &[f32]) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += factor * from);
 }
 
-/// Modified Gram-Schmidt, twice; what depends on the axes before it becomes zero.
+/// Orthonormalizes the axes with modified Gram-Schmidt, run twice. An axis that depends on earlier axes becomes zero.
 fn orthonormalize(axes: &mut [Vec<f32>]) {
     for at in 0..axes.len() {
         let (before, rest) = axes.split_at_mut(at);
@@ -88,7 +88,7 @@ fn orthonormalize(axes: &mut [Vec<f32>]) {
     }
 }
 
-/// Sum of the products, in eight lanes.
+/// Computes the sum of the products, in eight lanes.
 #[inline]
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());

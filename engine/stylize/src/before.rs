@@ -1,31 +1,34 @@
-//! The frame before, as it lies in the frame that is painted now.
+//! The previous frame, reprojected into the frame that is painted now.
 
 use crate::{Field, Grid, Planes, StylizeError, Stylized};
 
-/// No pixel, no patch.
+/// Number that stands for no pixel and no patch.
 const NONE: u32 = u32::MAX;
 
-/// What was painted in the frame before, moved along with what is seen.
+/// The painting of the previous frame, reprojected along the motion of the scene.
 #[derive(Clone, Debug)]
 pub struct Before {
-    /// Red, green, blue, and a last channel that is 1 where a pixel of the frame before has come, 0 elsewhere (colors are 0 there).
+    /// Red, green, blue, and a last channel that is 1 where a pixel of the previous frame arrives and 0 elsewhere (colors are 0
+    /// there).
     image: Planes,
-    /// The pixel of the frame before that each pixel comes from, or [`NONE`].
+    /// Source pixel in the previous frame of each pixel, or [`NONE`].
     from: Vec<u32>,
     field: Field,
 }
 
 impl Before {
-    /// Moves each pixel of the frame before to the pixel that it is seen at now. Where several meet, the nearest one is seen.
-    /// - `motion`: of the frame before, pixels: along x and y to where what is seen there is in the frame after it; not finite: unknown;
-    /// - `depth`: of the frame before, one channel, for what hides what; 0: nothing is seen there, which hides nothing. Without depth, what
-    ///   moves more counts as nearer;
+    /// Moves each pixel of the previous frame to its position in this frame. If several pixels arrive at one position, the nearest
+    /// one wins.
+    /// - `motion`: of the previous frame, pixels along x and y to the position of the same point in the next frame; not finite:
+    ///   unknown;
+    /// - `depth`: of the previous frame, one channel, decides occlusion; 0: background, which hides nothing. Without depth, larger
+    ///   motion counts as nearer;
     /// - errors: sizes or channels do not fit.
     pub fn new(painted: &Stylized, motion: [&[f32]; 2], depth: Option<&[f32]>) -> Result<Self, StylizeError> {
         Self::of_field(&painted.image, painted.field.clone(), motion, depth)
     }
 
-    /// The same of what a field has painted.
+    /// Does the work of [`Self::new`] for an image that `field` has painted.
     pub(crate) fn of_field(
         image: &Planes,
         field: Field,
@@ -66,17 +69,17 @@ impl Before {
         Ok(Self { image, from, field })
     }
 
-    /// Columns and rows.
+    /// Returns columns and rows.
     pub(crate) fn size(&self) -> [u32; 2] {
         self.image.size()
     }
 
-    /// Colors and how far they are known, at all levels.
+    /// Returns the colors and their coverage at all levels.
     pub(crate) fn pyramid(&self, levels: usize) -> Vec<Planes> {
         self.image.pyramid(levels)
     }
 
-    /// The source patches that target patches of a level had in the frame before, or [`NONE`].
+    /// Returns the source patches that the target patches of a level had in the previous frame, or [`NONE`].
     /// - `level`: 0 is the finest.
     pub(crate) fn patches(&self, target: Grid, source: Grid, level: usize) -> Vec<u32> {
         let (width, height, radius) = (self.image.width(), self.image.height(), target.patch() / 2);
@@ -97,7 +100,8 @@ impl Before {
         (0..target.count() as u32).map(patch).collect()
     }
 
-    /// Mean difference of a picture from the frame before where that is known, levels of 255; `None`: it is known nowhere.
+    /// Computes the mean difference of `image` from the previous frame over its known pixels, in levels of 255; `None`: no pixel is
+    /// known.
     pub fn flicker(&self, image: &Planes) -> Option<f64> {
         let pixels = self.image.values().chunks(4).zip(image.values().chunks(3)).filter(|(before, _)| before[3] > 0.0);
         let differences = |(before, now): (&[f32], &[f32])| {
@@ -108,7 +112,8 @@ impl Before {
     }
 }
 
-/// Fills the gaps that open between pixels that move apart: one with five known pixels around comes from where the first of them does.
+/// Fills the gaps that open between pixels that move apart. A gap with at least five known neighbors takes the source of the first
+/// of them.
 fn filled(from: &[u32], width: usize, height: usize) -> Vec<u32> {
     let around = |at: usize| {
         let (x, y) = (at % width, at / width);
@@ -126,9 +131,9 @@ fn filled(from: &[u32], width: usize, height: usize) -> Vec<u32> {
     from.iter().enumerate().map(fill).collect()
 }
 
-/// What is painted, drawn towards what was there before.
-/// - `before`: colors times how far they are known, and that;
-/// - `hold`: 0 to 1, how much of the frame before is wanted.
+/// Blends the painting toward the previous frame.
+/// - `before`: colors of the previous frame times their coverage, and the coverage;
+/// - `hold`: weight of the previous frame, 0 to 1.
 pub(crate) fn held(image: &Planes, before: &Planes, hold: f32) -> Planes {
     Planes::of_rows(image.width(), image.height(), 3, |y, row| {
         let pixels = image.run(0, y, image.width()).chunks(3).zip(before.run(0, y, image.width()).chunks(4));

@@ -1,6 +1,6 @@
-//! What the painting of the next frame goes on with, as bytes.
+//! Serialized state of a painted frame, from which the painting of the next frame starts.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCBRSH` |
 //! | 4 | version, 1 |
@@ -9,12 +9,12 @@
 //! | 4 each | numbers of the source patches, by number of the target patch |
 //! | 4 each | motion along x, all pixels, then along y; depth: floats |
 //!
-//! All little-endian, zstd-compressed behind the version.
+//! All numbers are little-endian. Everything after the version is zstd-compressed.
 
 use crate::{Before, Field, Grid, Planes, StylizeError};
 use femc_film::rect::MAX_FILM_PIXELS;
 
-/// Which source patches painted a frame, and how it goes over into the next one.
+/// Source patches that painted a frame, and the frame's motion and depth toward the next frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Brushwork {
     /// Columns and rows of the target.
@@ -33,8 +33,8 @@ const VERSION: u32 = 1;
 const LEVEL: i32 = 3;
 
 impl Brushwork {
-    /// Of a frame that was painted.
-    /// - `motion`, `depth`: as [`Before::new`] has them, one value a pixel.
+    /// Creates the brushwork of a painted frame.
+    /// - `motion`, `depth`: as in [`Before::new`], one value per pixel.
     pub fn new(field: &Field, motion: Option<[&[f32]; 2]>, depth: Option<&[f32]>) -> Self {
         let size = |grid: Grid| [grid.columns(), grid.rows()].map(|count| (count + grid.patch() - 1) as u32);
         Self {
@@ -47,15 +47,15 @@ impl Brushwork {
         }
     }
 
-    /// Of a frame that there is none of: the next one is painted anew.
+    /// Creates the brushwork of a missing frame: the next frame is painted from scratch.
     pub fn of_nothing() -> Self {
         let grid = Grid::new(3, 3, 3);
         Self::new(&Field { target: grid, source: grid, patches: vec![0] }, None, None)
     }
 
-    /// What was painted, moved to where the next frame sees it; `None`: how it moves is not known.
-    /// - `style`: the painting that it was painted with;
-    /// - errors: the painting has another size.
+    /// Reprojects the painting into the next frame; `None`: the motion is unknown.
+    /// - `style`: the painting that the frame was painted with;
+    /// - errors: `style` has another size.
     pub fn before(&self, style: &Planes) -> Option<Result<Before, StylizeError>> {
         let motion = self.motion.as_ref()?;
         if style.size() != self.source {
@@ -67,7 +67,7 @@ impl Brushwork {
         Some(Before::of_field(&field.vote(style), field, [x, y], self.depth.as_deref()))
     }
 
-    /// The same bytes for the same brushwork.
+    /// Encodes the brushwork. Equal brushwork gives equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         let mut plain: Vec<u8> = Vec::new();
         let head = [self.target[0], self.target[1], self.source[0], self.source[1], self.patch];
@@ -81,12 +81,12 @@ impl Brushwork {
         let floats = self.motion.iter().flatten().chain(&self.depth).flatten();
         plain.extend(floats.flat_map(|value| value.to_le_bytes()));
         let mut bytes = [&MAGIC[..], &VERSION.to_le_bytes()].concat();
-        // To memory: that does not fail.
+        // Compression into memory does not fail.
         bytes.extend(zstd::bulk::compress(&plain, LEVEL).unwrap_or_default());
         bytes
     }
 
-    /// Brushwork from its bytes; damage of any kind is an error.
+    /// Decodes brushwork; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, StylizeError> {
         Self::decoded(bytes).ok_or(StylizeError::Brushwork)
     }

@@ -1,13 +1,13 @@
-//! The nearest source patch of every target patch, by trying all.
+//! Brute-force search for the nearest source patch of every target patch.
 
 use crate::{Field, Patches};
 use rayon::prelude::*;
 
-/// Target patches between two words on progress.
+/// Number of target patches between two progress reports.
 const BLOCK: usize = 1024;
 
-/// The source patch of the least energy for each target patch; of equal ones the first.
-/// - `tell`: is told the part that is done, 0 to 1.
+/// Finds the source patch of the least energy for each target patch; ties go to the first one.
+/// - `tell`: receives the finished fraction, 0 to 1.
 pub fn nearest(source: &Patches, target: &Patches, tell: impl Fn(f64)) -> Field {
     let (sources, count) = (source.grid().count() as u32, target.grid().count());
     let best = |q: u32| {

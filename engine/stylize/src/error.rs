@@ -1,18 +1,18 @@
-//! What images and settings can be at fault in.
+//! Errors in images and settings.
 
 /// Errors of this crate; decide by variant.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StylizeError {
-    /// An image has no pixels, no channels, or another number of values than its size asks for.
+    /// An image has no pixels, no channels, or a number of values that does not match its size.
     #[error("image of {width}x{height} pixels and {channels} channels with {values} values")]
     Shape {
-        /// Columns.
+        /// Number of columns.
         width: u32,
-        /// Rows.
+        /// Number of rows.
         height: u32,
-        /// Channels.
+        /// Number of channels.
         channels: usize,
-        /// Values given.
+        /// Number of given values.
         values: usize,
     },
     /// A value of an image is NaN or infinite.
@@ -23,21 +23,21 @@ pub enum StylizeError {
         /// Row.
         y: u32,
     },
-    /// A file is none of a picture.
+    /// A file is not a valid picture.
     #[error("{0}")]
     File(String),
-    /// A frame has no layer of this name.
+    /// A frame has no layer with this name.
     #[error("no layer `{0}`")]
     NoGuide(String),
     /// Source and target share no guide.
     #[error("source has {source_guides:?}, target {target_guides:?}: no guide in common")]
     NothingInCommon {
-        /// Of the source.
+        /// Guides of the source.
         source_guides: Vec<String>,
-        /// Of the target.
+        /// Guides of the target.
         target_guides: Vec<String>,
     },
-    /// The style is not of the size of the source's guides.
+    /// The style has another size than the source's guides.
     #[error("style of {style:?} pixels for a source of {source_size:?}")]
     StyleSize {
         /// Columns and rows of the style.
@@ -45,38 +45,38 @@ pub enum StylizeError {
         /// Columns and rows of the guides.
         source_size: [u32; 2],
     },
-    /// The style has other channels than three colors.
+    /// The style does not have three channels.
     #[error("style of {0} channels, not 3")]
     StyleChannels(usize),
-    /// Source and target have other numbers of guide channels.
+    /// Source and target have different numbers of guide channels.
     #[error("{source_channels} guide channels of the source, {target_channels} of the target")]
     Channels {
-        /// Of the source.
+        /// Guide channels of the source.
         source_channels: usize,
-        /// Of the target.
+        /// Guide channels of the target.
         target_channels: usize,
     },
-    /// The weight of the guides is no number from 0 on.
+    /// The weight of the guides is negative or not finite.
     #[error("mu {0} is no finite number from 0 on")]
     Mu(f32),
-    /// The price of use is no number from 0 on.
+    /// The price of use is negative or not finite.
     #[error("balance {0} is no finite number from 0 on")]
     Balance(f32),
-    /// The dial of boiling is no number from 0 to 1.
+    /// The amount of boiling is not between 0 and 1.
     #[error("boil {0} is no number from 0 to 1")]
     Boil(f32),
-    /// The frame before is not of the target's size.
+    /// The previous frame has another size than the target.
     #[error("frame before of {before:?} pixels for a target of {target:?}")]
     BeforeSize {
-        /// Columns and rows of the frame before.
+        /// Columns and rows of the previous frame.
         before: [u32; 2],
         /// Columns and rows of the target.
         target: [u32; 2],
     },
-    /// What was begun is not of these images and settings.
+    /// The checkpoint belongs to other images or settings.
     #[error("what was begun is not of these images")]
     Begun,
-    /// Bytes that are none of brushwork, or damaged ones.
+    /// The bytes are not brushwork, or they are damaged.
     #[error("what was painted of the frame before is damaged")]
     Brushwork,
     /// The width of patches is even or out of range.
@@ -85,9 +85,9 @@ pub enum StylizeError {
     /// The pyramid has no level, or its coarsest one is too small for patches.
     #[error("{levels} levels, where images of this size allow 1 to {most} with patches of {patch} pixels")]
     Levels {
-        /// Asked for.
+        /// Requested levels.
         levels: usize,
-        /// Allowed; 0: not even one.
+        /// Maximum number of levels; 0: not even one fits.
         most: usize,
         /// Width of a patch, pixels.
         patch: usize,

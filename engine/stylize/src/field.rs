@@ -1,9 +1,9 @@
-//! Patches by number, which source patch each target patch has, and what they paint together.
+//! Numbered patches, the source patch of each target patch, and the image that they paint.
 
 use crate::Planes;
 use crate::patches::STYLE;
 
-/// The patches of an image: those that lie in it whole, numbered row by row by their upper left pixel.
+/// The patches of an image: all patches that lie fully inside, numbered row by row by their upper left pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
     columns: usize,
@@ -12,38 +12,38 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// The patches of `patch * patch` pixels of an image, which is that large at least.
+    /// Creates the grid of the patches of `patch * patch` pixels of an image, which must be at least that large.
     pub fn new(width: usize, height: usize, patch: usize) -> Self {
         debug_assert!(width >= patch && height >= patch, "{width}x{height} pixels for a patch of {patch}");
         Self { columns: width + 1 - patch, rows: height + 1 - patch, patch }
     }
 
-    /// The same of an image that is large enough.
+    /// Creates the grid of an image that is large enough.
     pub(crate) fn of(image: &Planes, patch: usize) -> Self {
         Self::new(image.width(), image.height(), patch)
     }
 
-    /// Number of patches, at least 1.
+    /// Returns the number of patches, at least 1.
     pub fn count(&self) -> usize {
         self.columns * self.rows
     }
 
-    /// Width of a patch, pixels.
+    /// Returns the width of a patch, pixels.
     pub fn patch(&self) -> usize {
         self.patch
     }
 
-    /// Patches beside each other.
+    /// Returns the number of patches in a row.
     pub fn columns(&self) -> usize {
         self.columns
     }
 
-    /// Patches below each other.
+    /// Returns the number of rows of patches.
     pub fn rows(&self) -> usize {
         self.rows
     }
 
-    /// The patch whose corner is `by` away from `corner`; `None`: there is none.
+    /// Returns the patch whose corner is `by` away from `corner`; `None`: outside of the grid.
     #[inline]
     pub(crate) fn beside(&self, corner: [usize; 2], by: [isize; 2]) -> Option<u32> {
         let x = corner[0].checked_add_signed(by[0]).filter(|&x| x < self.columns)?;
@@ -51,13 +51,13 @@ impl Grid {
         Some(self.at(x, y))
     }
 
-    /// Column and row of the upper left pixel of patch `at`.
+    /// Returns column and row of the upper left pixel of patch `at`.
     #[inline]
     pub fn corner(&self, at: u32) -> (usize, usize) {
         (at as usize % self.columns, at as usize / self.columns)
     }
 
-    /// The patch with this corner.
+    /// Returns the patch with this corner.
     #[inline]
     pub fn at(&self, x: usize, y: usize) -> u32 {
         (y * self.columns + x) as u32
@@ -76,13 +76,13 @@ pub struct Field {
 }
 
 impl Field {
-    /// The picture that the field paints: each pixel is the mean of what the patches over it have there, weighted by the square of
-    /// a tent, since a patch knows most of its middle.
+    /// Paints an image with the field. Each pixel is the mean of the pixels of all patches that cover it, weighted with the square
+    /// of a tent, because a patch is most reliable in its middle.
     /// - `style`: the painted style, three channels.
     pub fn vote(&self, style: &Planes) -> Planes {
         let patch = self.target.patch;
         let (width, height) = (self.target.columns + patch - 1, self.target.rows + patch - 1);
-        // First and last corner of the patches over a column or row.
+        // First and last corner of the patches that cover a column or row.
         let over = |at: usize, count: usize| (at + 1).saturating_sub(patch)..=at.min(count - 1);
         let weight = |within: usize| (within + 1).min(patch - within).pow(2) as f32;
         Planes::of_rows(width, height, STYLE, |y, row| {
@@ -102,10 +102,10 @@ impl Field {
         })
     }
 
-    /// The same field between images twice as large: each patch keeps its offset from where its coarse one lies.
+    /// Returns the field for images twice as large: each patch keeps its offset from the position of its coarse patch.
     pub(crate) fn doubled(&self, target: Grid, source: Grid) -> Self {
         let radius = target.patch / 2;
-        // Centers double, corners lie a radius before them.
+        // Centers double; corners lie one radius before the centers.
         let coarse = |fine: usize, count: usize| (fine.saturating_sub(radius) / 2).min(count - 1);
         let fine =
             |p: usize, q: usize, q_fine: usize, count: usize| (2 * p + q_fine).saturating_sub(2 * q).min(count - 1);
@@ -144,11 +144,11 @@ mod tests {
     #[test]
     fn a_pixel_is_the_weighted_mean_of_the_patches_over_it() {
         let style = ramp(6, 3);
-        // Two target patches beside each other, both of the leftmost source patch.
+        // Two target patches side by side, both with the leftmost source patch.
         let field = Field { target: Grid::new(4, 3, 3), source: Grid::new(6, 3, 3), patches: vec![0, 0] };
         let painted = field.vote(&style);
         let reds: Vec<f32> = (0..4).map(|x| painted.pixel(x, 0)[0]).collect();
-        // Column 1: 1 of weight 4 by the left patch, 0 of weight 1 by the right one.
+        // Column 1: 1 with weight 4 from the left patch, 0 with weight 1 from the right one.
         assert_eq!(reds, [0.0, 0.8, 1.2, 2.0]);
     }
 }

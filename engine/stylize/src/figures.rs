@@ -1,4 +1,4 @@
-//! What a result is judged by.
+//! Quality figures of a result.
 
 use crate::{Field, Planes};
 use femc_math::elementary::double;
@@ -7,23 +7,24 @@ use serde::{Deserialize, Serialize};
 /// Figures of a stylized picture.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// Mean over target patches of the squared difference of their guides from those of their source patches, summed over pixels and
-    /// channels; guides in 0..255, not weighted by mu.
+    /// Mean over target patches of the squared difference between their guides and those of their source patches, summed over
+    /// pixels and channels; guides in 0..255, not weighted by mu.
     pub guide_error: f64,
-    /// Entropy of how often source patches are used, bits.
+    /// Entropy of the use of source patches, bits.
     pub usage_entropy: f64,
-    /// The most that it can be: all source patches are used equally, or, of a smaller target, each once at most.
+    /// Upper bound of the entropy: all source patches are used equally or, if the target has fewer patches, each is used at most
+    /// once.
     pub usage_entropy_most: f64,
-    /// Part of the source patches that is not used.
+    /// Fraction of the source patches that are unused.
     pub unused: f64,
-    /// Part of the style's pixels that lie in no patch that is used.
+    /// Fraction of the style's pixels that lie in no used patch.
     pub unused_pixels: f64,
     /// Mean gradient of the result's luma over that of the style's; `None`: the style has no gradient.
     pub sharpness: Option<f64>,
 }
 
 impl Figures {
-    /// Of a field and what it paints.
+    /// Computes the figures of a field and of the image that it paints.
     pub(crate) fn of(field: &Field, guides: [&Planes; 2], style: &Planes, result: &Planes) -> Self {
         let mut uses = vec![0u32; field.source.count()];
         field.patches.iter().for_each(|&p| uses[p as usize] += 1);
@@ -61,7 +62,7 @@ fn guide_error(field: &Field, [source, target]: [&Planes; 2]) -> f64 {
     255.0 * 255.0 * field.patches.iter().enumerate().map(error).sum::<f64>() / field.patches.len() as f64
 }
 
-/// Mean length of the gradient of Rec.709 luma, by differences of neighbors.
+/// Computes the mean length of the gradient of Rec.709 luma, by differences of neighbors.
 fn gradient(image: &Planes) -> f64 {
     let luma = |x: usize, y: usize| {
         let pixel = image.pixel(x, y);

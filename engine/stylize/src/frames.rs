@@ -1,4 +1,4 @@
-//! From files of frames to guides: what of them guides, and how bright it is shown.
+//! Guides from frame files: selects the guide layers and applies the exposure.
 
 use crate::{Planes, StylizeError};
 use femc_film::exr::Channels;
@@ -6,44 +6,44 @@ use femc_film::{FilmError, Image, Picture, ToneCurve};
 use std::io::{Read, Seek};
 use std::path::Path;
 
-/// A frame with the layers that may guide.
+/// A frame with its possible guide layers.
 #[derive(Clone, Debug)]
 pub struct GuideFrame {
     channels: Channels,
 }
 
 impl GuideFrame {
-    /// Of a file: `FRAME.layers.exr`, or any EXR with channels R, G and B.
-    /// - errors: it is no EXR file.
+    /// Reads a file: `FRAME.layers.exr`, or any EXR with channels R, G and B.
+    /// - errors: the file is not an EXR file.
     pub fn read(path: &Path) -> Result<Self, FilmError> {
         Channels::read(path).map(|channels| Self { channels })
     }
 
-    /// The same of a file's bytes.
+    /// Decodes the bytes of a file.
     pub fn decode(source: impl Read + Seek) -> Result<Self, FilmError> {
         Channels::decode(source).map(|channels| Self { channels })
     }
 
-    /// Columns and rows.
+    /// Returns columns and rows.
     pub fn size(&self) -> [u32; 2] {
         [self.channels.width, self.channels.height]
     }
 
-    /// What may guide: layers of light, or, without any, the picture, whose name is empty.
+    /// Returns the names of possible guides: layers of light or, if there are none, the picture, whose name is empty.
     pub fn names(&self) -> Vec<&str> {
-        // Albedo is a color, and no light; a Cryptomatte has ids and shares in channels of such names.
+        // Albedo is a color but not light; Cryptomatte channels with color names hold ids and shares.
         let is_light = |name: &&str| *name != "albedo" && !name.starts_with("crypto_");
         let layers: Vec<&str> = self.channels.colors().into_iter().filter(is_light).collect();
         if layers.is_empty() && self.channels.color("").is_some() { vec![""] } else { layers }
     }
 
-    /// What decides the exposure: the picture, or, where the file has none, the layer `full`, or the first one.
+    /// Returns the image that decides the exposure: the picture or, if the file has none, the layer `full`, or the first one.
     pub fn exposed(&self) -> Option<Image> {
         let first = || self.names().first().and_then(|name| self.channels.color(name));
         self.channels.color("").or_else(|| self.channels.color("full")).or_else(first)
     }
 
-    /// Guides as they are displayed, three channels each, 0..1.
+    /// Returns guides as they are displayed, three channels each, 0..1.
     /// - errors: the frame has no such layer, or values that are not finite.
     pub fn guides(&self, names: &[&str], curve: ToneCurve) -> Result<Planes, StylizeError> {
         let layer = |name: &&str| self.channels.color(name).ok_or_else(|| StylizeError::NoGuide((*name).to_owned()));
@@ -58,19 +58,20 @@ impl GuideFrame {
         Planes::new(width, height, 3 * images.len(), shown.collect())
     }
 
-    /// Where what is seen is in the next frame, pixels along x and y; `None`: the file has no layer `motion`.
+    /// Returns the motion of each pixel to its position in the next frame, pixels along x and y; `None`: the file has no layer
+    /// `motion`.
     pub fn motion(&self) -> Option<[&[f32]; 2]> {
         Some([self.channels.get("motion.X")?, self.channels.get("motion.Y")?])
     }
 
-    /// How far away what is seen is; `None`: the file has no layer `depth`.
+    /// Returns the depth of each pixel; `None`: the file has no layer `depth`.
     pub fn depth(&self) -> Option<&[f32]> {
         self.channels.get("depth.Z")
     }
 }
 
-/// Guides that both frames have, in the order of the first one.
-/// - errors: there is none.
+/// Returns the guides that both frames have, in the order of the first one.
+/// - errors: the frames have no guide in common.
 pub fn common<'a>(source: &'a GuideFrame, target: &GuideFrame) -> Result<Vec<&'a str>, StylizeError> {
     let others = target.names();
     let names: Vec<&str> = source.names().into_iter().filter(|name| others.contains(name)).collect();
@@ -81,13 +82,13 @@ pub fn common<'a>(source: &'a GuideFrame, target: &GuideFrame) -> Result<Vec<&'a
     Err(StylizeError::NothingInCommon { source_guides: list(source.names()), target_guides: list(others) })
 }
 
-/// A painting as an image, 0..1.
+/// Converts a painting to an image, 0..1.
 pub fn painting(picture: &Picture) -> Result<Planes, StylizeError> {
     let values = picture.pixels.as_flattened().iter().map(|&byte| f32::from(byte) / 255.0).collect();
     Planes::new(picture.width, picture.height, 3, values)
 }
 
-/// An image of three channels, 0..1, as a picture.
+/// Converts an image of three channels, 0..1, to a picture.
 pub fn picture(image: &Planes) -> Picture {
     let byte = |value: f32| (255.0 * value.clamp(0.0, 1.0) + 0.5) as u8;
     let pixels = image.values().as_chunks().0.iter().map(|pixel| pixel.map(byte)).collect();

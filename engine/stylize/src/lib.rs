@@ -1,19 +1,21 @@
 //! Painted light: a picture of a target scene in the style of a painted example, guided by light (\[fiser2016\]).
 //!
-//! The example is a rendering of a source scene, the **guides** of the source (the rendering, and layers of its light), and a
-//! painting of it, pixel on pixel, the **style**. Given guides of a target, [`stylize`] looks for a source patch for each target
-//! patch, so that guides are alike and neighboring patches agree in what they paint:
+//! The example has two parts. The **guides** of the source are a rendering of a source scene and layers of its light. The **style**
+//! is a painting of this rendering, pixel on pixel. Given guides of a target, [`stylize`] finds a source patch for each target
+//! patch such that guides are alike and neighboring patches agree in what they paint:
 //!
 //! ```text
 //! E(p, q) = |A'(p) - B'(q)|^2 + mu |A(p) - B(q)|^2      A: guides of the source, A': style, p: a source patch
 //!                                                       B: guides of the target, B': result, q: a target patch
 //! ```
 //!
-//! Squares are summed over the pixels and channels of a patch. Search and average voting ([`Field::vote`]) alternate, from the coarsest
-//! level of Gaussian pyramids to the finest. [`Method::Balanced`] has a price on source patches that are used much, so that the whole
-//! painting is used (module `search`); [`Method::Em`] gives each target patch the best source patch by brute force, the baseline.
+//! Squares are summed over the pixels and channels of a patch. Search and average voting ([`Field::vote`]) alternate, from the
+//! coarsest level of Gaussian pyramids to the finest. [`Method::Balanced`] puts a price on source patches that are used often, so
+//! that the whole painting is used (module `search`). [`Method::Em`] finds the best source patch of each target patch by brute
+//! force; it is the baseline.
 //!
-//! The result is a function of images and settings: threads change no bit. Nothing here knows of scenes or a farm.
+//! The result is a function of images and settings: the number of threads changes no bit. The crate does not depend on scenes or a
+//! farm.
 #![deny(missing_docs)]
 
 mod basis;

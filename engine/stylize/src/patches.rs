@@ -1,27 +1,28 @@
 //! Style and guides of a picture in one image of whole numbers, weighted so that the energy of two patches is a squared distance.
 //!
-//! Whole numbers add up to the same energy in any order, so wider instructions change no bit.
+//! Sums of whole numbers are the same in any order, so wider instructions change no bit.
 
 use crate::{Grid, Planes, Settings};
 use rayon::prelude::*;
 
-/// Channels of the style: red, green and blue.
+/// Number of channels of the style: red, green and blue.
 pub(crate) const STYLE: usize = 3;
-/// What a value of 1 of a channel of weight 1 becomes. A patch of 15 x 15 pixels, weights of 1 in all, has energies below 2^31.
+/// Integer that stands for a value of 1 in a channel of weight 1. With weights that sum to 1, patches of 15 x 15 pixels have
+/// energies below 2^31.
 const SCALE: f32 = 3000.0;
 
-/// Weights of the energy. All together are 1.
+/// Weights of the energy. They sum to 1 over all channels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weights {
-    /// Of each channel of the style.
+    /// Weight of each channel of the style.
     pub style: f32,
-    /// Of each channel of the guides.
+    /// Weight of each channel of the guides.
     pub guide: f32,
 }
 
 impl Weights {
-    /// Of the settings: all guides together have `mu` times the weight of the style.
-    /// - `channels`: of the guides.
+    /// Computes the weights from the settings: all guides together have `mu` times the weight of the style.
+    /// - `channels`: number of channels of the guides.
     pub fn new(settings: &Settings, channels: usize) -> Self {
         let style = 1.0 / (1.0 + settings.mu);
         Self { style: style / STYLE as f32, guide: style * settings.mu / channels as f32 }
@@ -39,7 +40,7 @@ pub struct Patches {
 }
 
 impl Patches {
-    /// Patches of three channels of `style` and all channels of `guides`.
+    /// Creates patches of three channels of `style` and all channels of `guides`.
     /// - `style`: of the size of the guides; `None`: black, for guides alone.
     pub fn new(style: Option<&Planes>, guides: &Planes, weights: Weights, patch: usize) -> Self {
         let (width, channels) = (guides.width(), STYLE + guides.channels());
@@ -58,7 +59,7 @@ impl Patches {
         patches
     }
 
-    /// Takes another style.
+    /// Replaces the style.
     pub(crate) fn paint(&mut self, style: &Planes) {
         let (gain, width, channels) = (SCALE * self.weights.style.sqrt(), self.width, self.channels);
         self.values.par_chunks_mut(width * channels).enumerate().for_each(|(y, row)| {
@@ -68,17 +69,17 @@ impl Patches {
         });
     }
 
-    /// Their numbers.
+    /// Returns the grid that numbers the patches.
     pub fn grid(&self) -> Grid {
         self.grid
     }
 
-    /// Values of a patch.
+    /// Returns the number of values of a patch.
     pub(crate) fn patch_values(&self) -> usize {
         self.grid.patch() * self.grid.patch() * self.channels
     }
 
-    /// The energy of a squared difference of `levels` of 255 in all channels of the style, over a whole patch.
+    /// Returns the energy of a difference of `levels` of 255 in all channels of the style, over a whole patch.
     pub(crate) fn energy_of(&self, levels: f32) -> f64 {
         let difference = f64::from(SCALE) * f64::from(levels) / 255.0;
         difference * difference * f64::from(self.weights.style) * (STYLE * self.grid.patch() * self.grid.patch()) as f64
@@ -90,7 +91,7 @@ impl Patches {
         &self.values[at..at + self.grid.patch() * self.channels]
     }
 
-    /// The values of patch `at`, row by row, into `room`, which has as many.
+    /// Writes the values of patch `at`, row by row, into `room`, which has the length of a patch.
     pub(crate) fn gather(&self, at: u32, room: &mut [f32]) {
         let ((x, y), patch) = (self.grid.corner(at), self.grid.patch());
         for (row, room) in room.chunks_mut(patch * self.channels).enumerate() {
@@ -98,7 +99,7 @@ impl Patches {
         }
     }
 
-    /// Energy of patch `mine` of this and patch `theirs` of `other`, or a part of it that is above `limit`.
+    /// Returns the energy of patch `mine` of `self` and patch `theirs` of `other`, or a partial sum that exceeds `limit`.
     #[inline]
     pub fn energy(&self, mine: u32, other: &Self, theirs: u32, limit: u32) -> u32 {
         let ((x, y), (u, v)) = (self.grid.corner(mine), other.grid.corner(theirs));
@@ -118,7 +119,7 @@ fn whole(value: f32, gain: f32) -> i16 {
     (gain * value.clamp(0.0, 1.0) + 0.5) as i16
 }
 
-/// Sum of the squared differences of values in 0..=[`SCALE`].
+/// Computes the sum of the squared differences of values in 0..=[`SCALE`].
 #[inline]
 fn squared_distance(a: &[i16], b: &[i16]) -> u32 {
     let difference = |(a, b): (&i16, &i16)| i32::from(a.wrapping_sub(*b));

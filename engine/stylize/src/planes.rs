@@ -13,14 +13,14 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// An image.
+    /// Creates an image.
     /// - `values`: `width * height * channels` of them, usually 0 to 1;
-    /// - errors: another number of values, or one that is not finite.
+    /// - errors: the number of values is wrong, or a value is not finite.
     pub fn new(width: u32, height: u32, channels: usize, values: Vec<f32>) -> Result<Self, StylizeError> {
         let shape = StylizeError::Shape { width, height, channels, values: values.len() };
         let (wide, high) = (width as usize, height as usize);
         let expected = wide.checked_mul(high).and_then(|pixels| pixels.checked_mul(channels));
-        // Patches are numbered by 32 bits.
+        // Patch numbers have 32 bits.
         if values.is_empty() || expected != Some(values.len()) || wide * high > u32::MAX as usize {
             return Err(shape);
         }
@@ -31,7 +31,7 @@ impl Planes {
         Ok(Self { width: wide, height: high, channels, values })
     }
 
-    /// An image whose values are known to be sound.
+    /// Creates an image from a function that fills each row with valid values.
     pub(crate) fn of_rows(
         width: usize,
         height: usize,
@@ -43,46 +43,46 @@ impl Planes {
         Self { width, height, channels, values }
     }
 
-    /// Columns.
+    /// Returns the number of columns.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// Returns the number of rows.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Values a pixel.
+    /// Returns the number of values per pixel.
     pub fn channels(&self) -> usize {
         self.channels
     }
 
-    /// All values.
+    /// Returns all values.
     pub fn values(&self) -> &[f32] {
         &self.values
     }
 
-    /// The values of a pixel.
+    /// Returns the values of a pixel.
     #[inline]
     pub fn pixel(&self, x: usize, y: usize) -> &[f32] {
         self.run(x, y, 1)
     }
 
-    /// The values of `count` pixels of a row, from column `x` on.
+    /// Returns the values of `count` pixels of a row, from column `x` on.
     #[inline]
     pub(crate) fn run(&self, x: usize, y: usize, count: usize) -> &[f32] {
         let at = (y * self.width + x) * self.channels;
         &self.values[at..at + count * self.channels]
     }
 
-    /// Sizes as errors name them.
+    /// Returns width and height in the type that errors use.
     pub(crate) fn size(&self) -> [u32; 2] {
         [self.width as u32, self.height as u32]
     }
 
-    /// Half as wide and high, rounded up: filtered by (1 4 6 4 1) / 16 along both axes (the nearest pixel stands in beyond the
-    /// border), every second pixel kept, from the first on.
+    /// Returns the image at half the width and height, rounded up: filtered with (1 4 6 4 1) / 16 along both axes (pixels beyond
+    /// the border are replaced by the nearest one), keeping every second pixel, starting with the first.
     pub fn halved(&self) -> Self {
         const KERNEL: [f32; 5] = [1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
         let (width, height, channels) = (self.width.div_ceil(2), self.height.div_ceil(2), self.channels);
@@ -103,7 +103,7 @@ impl Planes {
         })
     }
 
-    /// The image at all levels, the finest first.
+    /// Returns the image at all levels, the finest first.
     pub(crate) fn pyramid(&self, levels: usize) -> Vec<Self> {
         let mut pyramid = vec![self.clone()];
         while pyramid.len() < levels {

@@ -1,15 +1,16 @@
-//! The search for source patches, with a price on those that are used much.
+//! The search for source patches, with a price on patches that are used often.
 //!
-//! What a target patch pays for a source patch is the energy of the two, and a **price** for how often the pixels of the source patch are
-//! used by others, in proportion to the mean: patches that are the best for many are left to some of them, and the whole painting is used
-//! (\[kaspar2015\]). A target patch tries the source patches that those of its four neighbors lead to (\[ashikhmin2001\]), and some that
-//! are drawn below the nodes of a k-d tree in which it would lie itself: from its leaf, where patches are most like it, to the root. What is
-//! used much is used much by all that look alike, so a search for the nearest alone finds nothing cheaper.
+//! A target patch pays the energy of its source patch plus a **price**. The price grows with the use of the source patch's pixels
+//! by other target patches, relative to the mean use. A source patch that is the best for many is thus left to some of them, and
+//! the whole painting is used (\[kaspar2015\]). A target patch tries the source patches that follow from those of its four
+//! neighbors (\[ashikhmin2001\]). It also tries some that are drawn below nodes of a k-d tree of the source patches: from the leaf
+//! that the target patch falls into, where patches are most similar to it, up to the root. Patches that look alike are all used
+//! often, so a search for only the nearest patch would find nothing cheaper.
 //!
-//! Target patches change in turns. In a turn every fourth of every fourth row makes a list of wishes, by the field and the prices that
-//! the turn before left; then wishes are granted one after the other, at prices that count those that were granted before. So threads need
-//! not wait for each other and change no bit, and those who wish for the same patch do not all get it. Each grant makes the
-//! sum of all energies and of half of all prices smaller.
+//! Target patches change in turns. In a turn, every fourth patch of every fourth row makes a list of wishes, using the field and
+//! the prices after the previous turn. The wishes are then granted one after the other, at prices that include the wishes granted
+//! before. Threads therefore do not wait for each other and change no bit, and target patches that wish for the same source patch
+//! do not all get it. Each grant lowers the sum of all energies and half of all prices.
 
 use crate::basis::Basis;
 use crate::tree::Tree;
@@ -17,28 +18,28 @@ use crate::{Field, Grid, Patches};
 use femc_math::hash::mix32;
 use rayon::prelude::*;
 
-/// Columns and rows between target patches of a turn.
+/// Distance in columns and rows between target patches of a turn.
 const STRIDE: usize = 4;
-/// Neighbors that are asked.
+/// Offsets of the neighbors whose source patches are tried.
 const NEIGHBORS: [[isize; 2]; 4] = [[-1, 0], [1, 0], [0, -1], [0, 1]];
-/// Source patches that a target patch draws in a pass.
+/// Number of source patches that a target patch draws in a pass.
 const DRAWS: u32 = 2;
-/// Wishes of a target patch.
+/// Number of wishes of a target patch.
 const WISHES: usize = 4;
 
-/// Source and target at a level of the pyramids, and the field between them.
+/// The search state at a level of the pyramids: source, prices and the current field.
 pub(crate) struct Search<'a> {
     source: &'a Patches,
     tree: Tree,
-    /// Where in the tree the target patches would lie.
+    /// Leaf of the tree that each target patch falls into.
     leaves: Vec<u32>,
     prices: Prices,
     field: Field,
-    /// Source patches that target patches had in the frame before; those that are none were not known there.
+    /// Source patches of the target patches in the previous frame; an invalid number means unknown.
     before: Vec<u32>,
 }
 
-/// The source patches of the leaf in which each target patch would lie: of these the nearest one.
+/// Takes the nearest source patch in the leaf that each target patch falls into.
 pub(crate) fn first_guess(source: &Patches, target: &Patches) -> Field {
     let (tree, leaves) = index(source, target);
     let nearest = |(q, &leaf): (usize, &u32)| {
@@ -49,8 +50,8 @@ pub(crate) fn first_guess(source: &Patches, target: &Patches) -> Field {
     Field { target: target.grid(), source: source.grid(), patches }
 }
 
-/// The field that a number of passes finds for a target that stays as it is.
-/// - `price`: of mean use, an energy.
+/// Returns the field after a number of passes for a fixed target.
+/// - `price`: price of mean use, an energy.
 pub fn search(source: &Patches, target: &Patches, price: f64, passes: u32) -> Field {
     let mut search = Search::new(source, target, first_guess(source, target), price, Vec::new());
     (1..=passes).for_each(|salt| search.pass(target, salt));
@@ -65,30 +66,30 @@ fn index(source: &Patches, target: &Patches) -> (Tree, Vec<u32>) {
 }
 
 impl<'a> Search<'a> {
-    /// Begins with a field.
-    /// - `target`: with what the field paints;
-    /// - `price`: of mean use, an energy;
-    /// - `before`: a source patch that each target patch tries first; empty: none has one. Numbers that no patch has count as none.
+    /// Starts from a field.
+    /// - `target`: target patches with the image that the field paints;
+    /// - `price`: price of mean use, an energy;
+    /// - `before`: a source patch that each target patch tries first; empty: none. Invalid numbers count as none.
     pub(crate) fn new(source: &'a Patches, target: &Patches, field: Field, price: f64, before: Vec<u32>) -> Self {
         let (tree, leaves) = index(source, target);
         let prices = Prices::new(&field, price);
         Self { source, tree, leaves, prices, field, before }
     }
 
-    /// The field.
+    /// Returns the field.
     pub(crate) fn field(&self) -> &Field {
         &self.field
     }
 
     /// Gives every target patch a turn.
-    /// - `target`: with what is painted so far;
-    /// - `salt`: of this pass, for its draws.
+    /// - `target`: target patches with the image painted so far;
+    /// - `salt`: number of this pass, for its random draws.
     pub(crate) fn pass(&mut self, target: &Patches, salt: u32) {
         let patches = self.field.patches.par_iter().enumerate();
         let mut energies: Vec<u32> = patches.map(|(q, &p)| self.source.energy(p, target, q as u32, u32::MAX)).collect();
         let targets = self.field.target;
         for turn in 0..STRIDE * STRIDE {
-            // Turns that follow each other lie apart.
+            // Consecutive turns lie apart.
             let place = 5 * turn % (STRIDE * STRIDE);
             let rows: Vec<usize> = (place / STRIDE..targets.rows()).step_by(STRIDE).collect();
             let columns = || (place % STRIDE..targets.columns()).step_by(STRIDE);
@@ -99,7 +100,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// What would be cheaper for a target patch; `None`: nothing.
+    /// Returns source patches that would be cheaper for a target patch; `None`: there are none.
     fn wish(&self, target: &Patches, energies: &[u32], [x, y]: [usize; 2], salt: u32) -> Option<Wish> {
         let Field { target: targets, source: sources, patches } = &self.field;
         let q = targets.at(x, y);
@@ -130,7 +131,7 @@ impl<'a> Search<'a> {
         (wish.best[0].p != has).then_some(wish)
     }
 
-    /// Gives a target patch the cheapest of what it has and wishes.
+    /// Assigns to a target patch the cheapest of its current source patch and its wishes.
     fn grant(&mut self, wish: &Wish, energies: &mut [u32]) {
         let q = wish.q as usize;
         let has = self.field.patches[q];
@@ -145,7 +146,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// A source patch for a target patch.
+/// A candidate source patch for a target patch.
 #[derive(Clone, Copy)]
 struct Candidate {
     pays: u32,
@@ -153,10 +154,10 @@ struct Candidate {
     energy: u32,
 }
 
-/// What a target patch would like better than what it has.
+/// Candidates that are cheaper for a target patch than its current source patch.
 struct Wish {
     q: u32,
-    /// The cheapest first; the rest is what it has.
+    /// Candidates, the cheapest first; unused entries hold the current source patch.
     best: [Candidate; WISHES],
 }
 
@@ -170,10 +171,10 @@ impl Wish {
     }
 }
 
-/// What source patches cost.
+/// Prices of source patches.
 struct Prices {
     grid: Grid,
-    /// How often the pixels of each source patch are used, summed up.
+    /// Load of each source patch: number of uses, summed over its pixels.
     loads: Vec<u32>,
     /// Price of a load of 1, times [`Self::ONE`].
     unit: u64,
@@ -198,7 +199,7 @@ impl Prices {
         self.add(to, u32::wrapping_add);
     }
 
-    /// Adds a use of a patch, or takes one away.
+    /// Adds or removes a use of a patch, depending on `by`.
     fn add(&mut self, p: u32, by: impl Fn(u32, u32) -> u32) {
         let ((x, y), patch) = (self.grid.corner(p), self.grid.patch());
         let near = |at: usize, end: usize| at.saturating_sub(patch - 1)..(at + patch).min(end);
@@ -211,7 +212,7 @@ impl Prices {
         }
     }
 
-    /// Loads of all uses.
+    /// Computes the loads of all uses.
     fn count(&mut self, uses: &[u32]) {
         // Two patches share (patch - |dx|) (patch - |dy|) pixels.
         let (columns, patch) = (self.grid.columns(), self.grid.patch());
@@ -224,7 +225,7 @@ impl Prices {
         }
     }
 
-    /// The price of `p` for a target patch that has the one at `mine`, which does not count.
+    /// Returns the price of `p` for a target patch whose current source patch has its corner at `mine`; this use does not count.
     #[inline]
     fn without(&self, p: u32, mine: (usize, usize)) -> u32 {
         let (x, y) = self.grid.corner(p);
@@ -234,11 +235,11 @@ impl Prices {
     }
 }
 
-/// Filters every `step`th value by a tent of `2 patch - 1` values.
+/// Filters every `step`th value with a tent of `2 patch - 1` values.
 fn tent(values: &[u32], step: usize, out: &mut [u32], patch: usize) {
     let count = values.len().div_ceil(step);
     let value = |at: usize| if at < count { values[at * step] } else { 0 };
-    // The weight of value i at place o is patch - |i - o|: what comes nearer grows by 1, what goes away falls by 1.
+    // The weight of value i at position o is patch - |i - o|: weights ahead grow by 1 per step, weights behind fall by 1.
     let mut sum: u32 = (0..patch - 1).map(|i| (patch - 1 - i) as u32 * value(i)).sum();
     let mut ahead: u32 = (0..patch - 1).map(value).sum();
     let mut behind = 0;

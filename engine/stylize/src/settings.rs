@@ -1,32 +1,33 @@
-//! How to stylize.
+//! Settings of stylization.
 
 use crate::{Planes, StylizeError};
 
-/// How target patches get their source patches.
+/// Method that assigns source patches to target patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// By what they cost, with a price on source patches that are used much.
+    /// Cheapest source patch, with a price on source patches that are used often.
     Balanced,
-    /// Each target patch has the best source patch, by brute force: algorithm 1 of the founding document, for comparison.
+    /// Best source patch of each target patch, by brute force: algorithm 1 of the founding document, for comparison.
     Em,
 }
 
 /// Settings of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// How patches are found.
+    /// Method of the patch search.
     pub method: Method,
-    /// Weight of all guides together against the style, from 0 on.
+    /// Weight of all guides together relative to the style, at least 0.
     pub mu: f32,
-    /// Price of mean use: the difference of the style's colors that it equals, levels of 255, from 0 on.
+    /// Price of mean use, as the equal difference of the style's colors, levels of 255, at least 0.
     pub balance: f32,
     /// Width of patches, pixels: odd, 3 to 15.
     pub patch: usize,
-    /// Levels of the pyramids; `None`: 6, or as many as the images allow.
+    /// Levels of the pyramids; `None`: 6, or the maximum for the images if that is less.
     pub levels: Option<usize>,
-    /// Searches, each with its vote, at each level.
+    /// Number of searches at each level; each is followed by a vote.
     pub iterations: usize,
-    /// How much a painting may change where its frame does not: 0 holds on to the frame before, 1 paints each frame anew.
+    /// Allowed change of the painting where the frame does not change: 0 keeps the previous frame, 1 paints each frame from
+    /// scratch.
     pub boil: f32,
 }
 
@@ -37,10 +38,11 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Levels where none are asked for and the images are large.
+    /// Default number of levels for large images.
     const LEVELS: usize = 6;
 
-    /// Most levels for images of these sizes: the shortest side of the coarsest one has two patches. One level needs one patch.
+    /// Returns the maximum number of levels for images of these sizes: the shortest side of the coarsest one has two patches. A
+    /// single level needs one patch.
     fn most_levels(&self, images: [&Planes; 2]) -> usize {
         let sides = images.iter().flat_map(|image| [image.width(), image.height()]);
         let shortest = sides.min().unwrap_or(0);
@@ -52,7 +54,7 @@ impl Settings {
             .count()
     }
 
-    /// The number of levels.
+    /// Checks the settings and returns the number of levels.
     /// - errors: a setting is out of range, by itself or for these images.
     pub(crate) fn check(&self, source: &Planes, target: &Planes) -> Result<usize, StylizeError> {
         if !(self.mu.is_finite() && self.mu >= 0.0) {

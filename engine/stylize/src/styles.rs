@@ -1,4 +1,4 @@
-//! Styles that come with the program: paintings of `scenes/ball.mgf`, which `scenes/painter` has painted.
+//! Built-in styles: paintings of `scenes/ball.mgf`, made by `scenes/painter`.
 
 use crate::{GuideFrame, Planes, StylizeError, frames};
 use femc_film::{FilmError, Picture};
@@ -11,27 +11,27 @@ const PAINTINGS: [(&str, &[u8]); 4] = [
     ("oil", include_bytes!("../../../scenes/styles/oil.png")),
     ("cel", include_bytes!("../../../scenes/styles/cel.png")),
 ];
-/// What they were painted from.
+/// Render that the paintings were painted from.
 const BALL: &[u8] = include_bytes!("../../../scenes/styles/ball.layers.exr");
 
-/// Names of the styles.
+/// Returns the names of the styles.
 pub fn names() -> impl Iterator<Item = &'static str> {
     PAINTINGS.iter().map(|(name, _)| *name)
 }
 
-/// The painting of this name, as PNG.
+/// Returns the painting with this name, as PNG.
 pub fn png(name: &str) -> Option<&'static [u8]> {
     PAINTINGS.iter().find(|(known, _)| *known == name).map(|(_, png)| *png)
 }
 
-/// The render that the paintings lie over.
+/// Returns the render that the paintings match pixel by pixel.
 /// - errors: the program was built with another file in its place.
 pub fn source() -> Result<GuideFrame, FilmError> {
     GuideFrame::decode(Cursor::new(BALL))
 }
 
-/// The painting of this name; `None`: there is no such style.
-/// - errors: as of [`source`].
+/// Returns the painting with this name; `None`: there is no such style.
+/// - errors: as for [`source`].
 pub fn painting(name: &str) -> Option<Result<Planes, StylizeError>> {
     let picture = Picture::from_any_png(png(name)?).map_err(StylizeError::from);
     Some(picture.and_then(|picture| frames::painting(&picture)))

@@ -1,4 +1,4 @@
-//! From the coarsest level to the finest.
+//! Stylization from the coarsest level to the finest.
 
 use crate::before::held;
 use crate::patches::{STYLE, Weights};
@@ -8,42 +8,42 @@ use crate::{Before, Field, Figures, Grid, Method, Patches, Planes, Settings, Sty
 /// A painted example.
 #[derive(Clone, Copy, Debug)]
 pub struct Example<'a> {
-    /// What is painted: red, green and blue.
+    /// The painting: red, green and blue.
     pub style: &'a Planes,
-    /// What is known of the source at each pixel of the painting.
+    /// Guides of the source at each pixel of the painting.
     pub guides: &'a Planes,
 }
 
-/// How far a run is.
+/// Progress of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Level in work, from 1 (the coarsest) on.
+    /// Current level, from 1 (the coarsest) on.
     pub level: usize,
-    /// All levels.
+    /// Number of levels.
     pub levels: usize,
-    /// Search in work, from 1 on; 0: the first guess, from guides alone.
+    /// Current search, from 1 on; 0: the first guess, from guides alone.
     pub iteration: usize,
-    /// Searches of a level.
+    /// Number of searches per level.
     pub iterations: usize,
-    /// The part of all work that is done, 0 to 1, by the number of patches.
+    /// Finished fraction of all work, 0 to 1, by the number of patches.
     pub fraction: f64,
 }
 
-/// What there is of a painting when a level is done: enough to go on with, to the same bits.
+/// Checkpoint of a painting after a level. A run that resumes from it gives the same bits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Begun {
-    /// Finer levels that are left; 0: it is done.
+    /// Number of finer levels that are left; 0: the painting is finished.
     pub left: usize,
-    /// Number of the source patch, by number of the target patch, at the level that is done.
+    /// Number of the source patch, by number of the target patch, at the finished level.
     pub patches: Vec<u32>,
 }
 
-/// Who hears of a run.
+/// Receiver of a run's progress.
 pub trait Watch: Sync {
-    /// Told before each step.
+    /// Receives the progress before each step.
     fn step(&self, _: Progress) {}
 
-    /// Told what there is after each level.
+    /// Receives the checkpoint after each level.
     fn level(&self, _: Begun) {}
 }
 
@@ -58,15 +58,15 @@ pub struct Stylized {
     pub field: Field,
     /// Levels of the pyramids.
     pub levels: usize,
-    /// What it is judged by.
+    /// Quality figures.
     pub figures: Figures,
 }
 
 /// Paints the target.
 /// - `target`: guides, the same channels as the example's;
-/// - `before`: the frame before, of the target's size, that the painting is to hold on to;
-/// - `begun`: what an earlier run with the same arguments had done;
-/// - errors: sizes, channels or settings do not fit, or what was begun does not.
+/// - `before`: the previous frame, of the target's size, that the painting should stay close to;
+/// - `begun`: checkpoint of an earlier run with the same arguments;
+/// - errors: sizes, channels, settings or the checkpoint do not fit.
 pub fn stylize(
     example: Example<'_>,
     target: &Planes,
@@ -114,7 +114,7 @@ pub fn stylize(
 }
 
 impl Begun {
-    /// The levels left and the field, if it is one of this run.
+    /// Returns the number of levels left and the field, if the checkpoint belongs to this run.
     /// - `grids`: target and source patches of a level.
     fn field(self, levels: usize, grids: impl Fn(usize) -> [Grid; 2]) -> Result<(usize, Field), StylizeError> {
         let Self { left, patches } = self;
@@ -127,17 +127,17 @@ impl Begun {
     }
 }
 
-/// A level.
+/// The work of one level.
 struct Work<'a> {
     style: &'a Planes,
     guides: &'a Planes,
     target: &'a Planes,
-    /// The frame before, and what it had painted at this level.
+    /// The previous frame, and its painting at this level.
     before: Option<(&'a Before, &'a Planes)>,
-    /// 0 is the finest.
+    /// Level; 0 is the finest.
     level: usize,
     settings: &'a Settings,
-    /// Told the iteration and the part of it that is done.
+    /// Receives the iteration and the finished fraction of it.
     step: &'a dyn Fn(usize, f64),
 }
 
@@ -146,25 +146,25 @@ impl Work<'_> {
         Patches::new(style, guides, Weights::new(self.settings, guides.channels()), self.settings.patch)
     }
 
-    /// By the guides alone.
+    /// Guesses the field from the guides alone.
     fn first_guess(&self) -> Field {
         (self.step)(0, 0.0);
         let [source, target] = [self.guides, self.target].map(|guides| self.patches(None, guides));
         first_guess(&source, &target)
     }
 
-    /// By the field of the level before.
+    /// Returns the field of the previous level, doubled.
     fn doubled(&self, field: &Field) -> Field {
         let [target, source] = [self.target, self.guides].map(|image| Grid::of(image, self.settings.patch));
         field.doubled(target, source)
     }
 
-    /// What a search is to find: what is painted so far, drawn towards the frame before.
+    /// Returns the image that the search should match: the painting so far, blended toward the previous frame.
     fn wanted(&self, image: &Planes) -> Option<Planes> {
         self.before.map(|(_, painted)| held(image, painted, 1.0 - self.settings.boil))
     }
 
-    /// Search and vote by turns.
+    /// Alternates search and vote.
     fn paint(&self, mut field: Field) -> (Field, Planes) {
         let source = self.patches(Some(self.style), self.guides);
         let mut image = field.vote(self.style);
@@ -195,9 +195,9 @@ impl Work<'_> {
     }
 }
 
-/// The parts of the work.
+/// The shares of the levels in the work, for progress reports.
 struct Steps<'a> {
-    /// Pixels of each level, the finest first.
+    /// Work of each level, the finest first: pixels, squared for brute force.
     pixels: Vec<f64>,
     iterations: usize,
     watch: &'a dyn Watch,
@@ -206,7 +206,7 @@ struct Steps<'a> {
 impl<'a> Steps<'a> {
     fn new(targets: &[Planes], settings: &Settings, watch: &'a dyn Watch) -> Self {
         let pixels = |image: &Planes| (image.width() * image.height()) as f64;
-        // Brute force tries as many patches for each as there are.
+        // Brute force tries every source patch for every target patch.
         let power = match settings.method {
             Method::Balanced => 1,
             Method::Em => 2,

@@ -1,28 +1,29 @@
 //! A k-d tree of points.
 //!
-//! All leaves lie at one depth, so nodes are numbered as in a heap and need no links, and the points below a node are neighbors in one list.
+//! All leaves lie at one depth. Nodes are therefore numbered as in a heap and need no links, and the points below a node are
+//! contiguous in one list.
 
 use crate::basis::{DIMENSIONS, Point};
 use rayon::prelude::*;
 
-/// Points of a leaf at most.
+/// Maximum number of points in a leaf.
 const LEAF: usize = 8;
-/// Points of a node by which the dimension of its cut is chosen.
+/// Number of points of a node from which the dimension of its cut is chosen.
 const SAMPLES: usize = 128;
 
-/// The tree. Points keep the numbers that they are given by.
+/// A k-d tree. Points keep their given numbers.
 #[derive(Clone, Debug)]
 pub struct Tree {
-    /// Of each inner node the dimension and the coordinate of its cut.
+    /// Dimension and coordinate of the cut of each inner node.
     cuts: Vec<(u8, f32)>,
-    /// Where the points of each leaf begin, and where those of the last one end.
+    /// Index of the first point of each leaf, and the end of the last leaf.
     starts: Vec<u32>,
     /// Numbers of the points, leaf by leaf.
     order: Vec<u32>,
 }
 
 impl Tree {
-    /// The tree of all points, one at least.
+    /// Builds the tree of all points, at least one.
     pub fn of(points: &[Point]) -> Self {
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
         let (mut starts, mut cuts) = (vec![0, points.len()], Vec::new());
@@ -32,12 +33,12 @@ impl Tree {
             let middles = starts.windows(2).flat_map(|node| [node[0], node[0] + (node[1] - node[0]) / 2]);
             starts = middles.chain([points.len()]).collect();
         }
-        // What lies in a leaf is the same however the halves were found.
+        // Sorting makes the order in a leaf independent of how the halves were found.
         slices(&mut order, &starts).into_par_iter().for_each(<[u32]>::sort_unstable);
         Self { cuts, starts: starts.into_iter().map(|start| start as u32).collect(), order }
     }
 
-    /// The leaf in whose part of space a point lies.
+    /// Returns the leaf whose part of space contains a point.
     #[inline]
     pub fn leaf(&self, at: &Point) -> u32 {
         let mut node = 0;
@@ -47,12 +48,13 @@ impl Tree {
         (node - self.cuts.len()) as u32
     }
 
-    /// Levels of nodes above the leaves.
+    /// Returns the number of levels above the leaves.
     pub fn height(&self) -> u32 {
         (self.cuts.len() + 1).ilog2()
     }
 
-    /// The points below the node that is `height` levels, [`Tree::height`] at most, above a leaf. There is one at least.
+    /// Returns the points below the node that is `height` levels above a leaf, where `height` is at most [`Tree::height`]. There is
+    /// at least one.
     #[inline]
     pub fn below(&self, leaf: u32, height: u32) -> &[u32] {
         let first = (leaf >> height << height) as usize;
@@ -60,7 +62,7 @@ impl Tree {
     }
 }
 
-/// The nodes of a level as slices.
+/// Splits the order into one slice per node of a level.
 fn slices<'a>(mut order: &'a mut [u32], starts: &[usize]) -> Vec<&'a mut [u32]> {
     let mut nodes = Vec::with_capacity(starts.len() - 1);
     for bounds in starts.windows(2) {
@@ -71,7 +73,7 @@ fn slices<'a>(mut order: &'a mut [u32], starts: &[usize]) -> Vec<&'a mut [u32]> 
     nodes
 }
 
-/// Cuts a node at its middle, along the dimension in which a sample of its points varies most.
+/// Cuts a node at its median, along the dimension in which a sample of its points varies most.
 fn halve(node: &mut [u32], points: &[Point]) -> (u8, f32) {
     let step = node.len().div_ceil(SAMPLES);
     let (mut sums, mut squares, mut count) = ([0.0f64; DIMENSIONS], [0.0f64; DIMENSIONS], 0.0);

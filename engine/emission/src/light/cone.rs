@@ -14,16 +14,17 @@ pub struct Cone {
     tangent: DVec3,
     bitangent: DVec3,
     height: f64,
-    /// >= 0, at the base and at the top.
+    /// Radii at the base and at the top, >= 0, m.
     radii: [f64; 2],
     facing: f64,
     area: f64,
-    /// What it emits.
+    /// Emission of the surface.
     pub emission: Emission,
 }
 
 impl Cone {
-    /// - `base`, `top`: centres of the two ends, m; radii of one sign, m, negative for inward normals.
+    /// Creates the light.
+    /// - `base`, `top`: centers of the two ends, m; radii of one sign, m, negative for inward normals.
     pub fn new(base: Vec3A, base_radius: f32, top: Vec3A, top_radius: f32, emission: Emission) -> Self {
         let v = top.as_dvec3() - base.as_dvec3();
         let height = v.length();
@@ -44,7 +45,7 @@ impl Cone {
         }
     }
 
-    /// m2.
+    /// Returns the area, m2.
     pub fn area(&self) -> f64 {
         self.area
     }
@@ -55,7 +56,7 @@ impl Cone {
         let [r0, r1] = self.radii;
         let along = f64::from(u[0]);
         let radius = (r0 * r0 + along * (r1 * r1 - r0 * r0)).max(0.0).sqrt();
-        // (radius - r0) / (r1 - r0), also for equal radii.
+        // Equals (radius - r0) / (r1 - r0), and also holds for equal radii.
         let t = if radius + r0 > 0.0 { along * (r0 + r1) / (radius + r0) } else { 0.0 };
         let (sin, cos) = sin_cos(TAU * f64::from(u[1]));
         let radial = self.tangent * cos + self.bitangent * sin;

@@ -1,8 +1,8 @@
-//! Light sources: one member a file, dispatched by an enum.
+//! Light sources: one type per file, dispatched by an enum.
 //!
-//! `sample` draws a point as seen from a reference point, `pdf` is the density that `sample` would have had for a point that
-//! was found otherwise; both are over solid angle at the reference. Which strategy is used depends on the light and the
-//! reference only, so the two always agree.
+//! `sample` draws a point as seen from a reference point. `pdf` returns the density that `sample` has for a point that was found by
+//! other means. Both densities are over solid angle at the reference. The strategy depends only on the light and the reference, so
+//! the two always agree.
 
 pub mod cone;
 pub mod parallelogram;
@@ -28,7 +28,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 pub use torus::Torus;
 pub use triangle::Triangle;
 
-/// Whether a light's samples have a density.
+/// Kind of a light's samples: with a density, or of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeltaKind {
     /// An ordinary sample.
@@ -40,19 +40,19 @@ pub enum DeltaKind {
 /// A point on a light as seen from a reference point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightSample {
-    /// Unit, from the reference to the light.
+    /// Direction from the reference to the light, unit.
     pub dir: Vec3A,
-    /// m.
+    /// Distance, m.
     pub distance: f32,
-    /// The point, m.
+    /// Position of the point, m.
     pub position: Vec3A,
     /// Front normal of the emitter at the point; zero for points.
     pub normal: Vec3A,
-    /// Bound on the error of `position`, m, by coordinate.
+    /// Error bound of `position`, m, by coordinate.
     pub error: Vec3A,
-    /// Radiance toward the reference, cd/m2; for a delta light intensity over squared distance, lx. Not divided by `pdf`.
+    /// Radiance toward the reference, cd/m2; for a delta light, intensity over squared distance, lx. Not divided by `pdf`.
     pub radiance: Rgb,
-    /// 1/sr; 1 for a delta light.
+    /// Density, 1/sr; 1 for a delta light.
     pub pdf: f32,
     /// Kind of sample.
     pub delta: DeltaKind,
@@ -67,22 +67,22 @@ pub struct EmissionCone {
     pub axis: Vec3A,
     /// Cosine of the half angle of the normals' cone; -1: light in every direction.
     pub cos_normals: f32,
-    /// Power of the cosine with the normal that the intensity follows, >= 1 (1: Lambertian).
+    /// Exponent of the intensity as a power of the cosine with the normal, >= 1 (1: Lambertian).
     pub exponent: f32,
-    /// Whether light leaves along the opposite of the normals too.
+    /// Whether light also leaves along the opposite normals.
     pub two_sided: bool,
 }
 
 impl EmissionCone {
-    /// Every direction.
+    /// Cone of all directions.
     pub const ALL: Self = Self { axis: Vec3A::Z, cos_normals: -1.0, exponent: 1.0, two_sided: false };
 
-    /// Whether light may leave in every direction.
+    /// Checks whether light may leave in every direction.
     pub fn is_everywhere(&self) -> bool {
         self.cos_normals <= -1.0
     }
 
-    /// A cone that holds both.
+    /// Returns a cone that contains both.
     pub fn join(&self, other: &Self) -> Self {
         let exponent = self.exponent.min(other.exponent);
         let two_sided = self.two_sided || other.two_sided;
@@ -92,7 +92,7 @@ impl EmissionCone {
             return Self { exponent, two_sided, ..Self::ALL };
         }
         let between = angle(self.axis.dot(other.axis));
-        // One holds the other.
+        // One cone contains the other.
         for (wide, narrow, cone) in [(a, b, self), (b, a, other)] {
             if (between + narrow).min(PI) <= wide {
                 return Self { exponent, two_sided, ..*cone };
@@ -103,15 +103,15 @@ impl EmissionCone {
         if half >= PI || across.length_squared() == 0.0 {
             return Self { exponent, two_sided, ..Self::ALL };
         }
-        // The first axis turned toward the second by what it lacks.
+        // The first axis is turned toward the second by the missing angle.
         let (sin, cos) = double::sin_cos(half - a);
         let sideways = cross(across.normalize(), self.axis);
         let axis = (self.axis * cos as f32 + sideways * sin as f32).normalize();
         Self { axis, cos_normals: double::cos(half) as f32 - 1e-6, exponent, two_sided }
     }
 
-    /// Solid angle of the directions that light leaves in, weighted by a cosine at the border (\[conty2018\]); 1: one direction
-    /// with a Lambertian profile is pi.
+    /// Computes the solid angle of the emitted directions, weighted by a cosine at the border (\[conty2018\]). A single normal with
+    /// a Lambertian profile gives pi.
     pub fn measure(&self) -> f32 {
         let normals = double::acos(f64::from(self.cos_normals.clamp(-1.0, 1.0)));
         let whole = (normals + FRAC_PI_2).min(PI);
@@ -158,21 +158,22 @@ macro_rules! each {
 }
 
 impl Light {
-    /// Draws a point from `u` in [0, 1)^2. `None`: nothing of the light can reach the reference by this draw.
-    /// Law: directions follow [`Self::pdf`] (tests `samples_follow_the_density_*`).
+    /// Draws a point from `u` in [0, 1)^2. `None`: no light reaches the reference in this draw. Law: directions follow
+    /// [`Self::pdf`] (tests `samples_follow_the_density_*`).
     #[inline]
     pub fn sample(&self, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
         each!(self, l => l.sample(reference, u))
     }
 
-    /// Density, 1/sr, that [`Self::sample`] has for the point `position` of this light with front normal `normal`, seen in
-    /// direction `dir` (unit, from the reference to the light). 0 for delta lights and where it does not emit.
+    /// Returns the density, 1/sr, that [`Self::sample`] has for the point `position` of this light with front normal `normal`, seen
+    /// in direction `dir` (unit, from the reference to the light). 0 for delta lights and where the light does not emit.
     #[inline]
     pub fn pdf(&self, reference: Vec3A, position: Vec3A, normal: Vec3A, dir: Vec3A) -> f32 {
         each!(self, l => l.pdf(reference, position, normal, dir))
     }
 
-    /// Radiance, cd/m2, in direction `dir_from_light` (unit, away from the light) at a point with front normal `normal`.
+    /// Returns the radiance, cd/m2, in direction `dir_from_light` (unit, away from the light) at a point with front normal
+    /// `normal`.
     #[inline]
     pub fn radiance(&self, dir_from_light: Vec3A, normal: Vec3A) -> Rgb {
         match self {
@@ -187,13 +188,13 @@ impl Light {
         }
     }
 
-    /// Whether it is described by its intensity, cd, so that a larger one is no brighter.
+    /// Checks whether the light is defined by its intensity, cd. The brightness of such a light does not depend on its size.
     #[inline]
     pub fn has_intensity(&self) -> bool {
         matches!(self, Self::PhotometricPoint(_) | Self::PhotometricSolid(_))
     }
 
-    /// Luminous intensity, cd, in direction `dir` (unit, away from the light) where it is measured; `None` of other lights.
+    /// Returns the measured luminous intensity, cd, in direction `dir` (unit, away from the light); `None` for other lights.
     #[inline]
     pub fn intensity(&self, dir: Vec3A) -> Option<f32> {
         match self {
@@ -203,7 +204,7 @@ impl Light {
         }
     }
 
-    /// Corners of a flat polygon in order, m; none of other shapes.
+    /// Returns the corners of a flat polygon in order, m; none for other shapes.
     pub fn corners(&self) -> Vec<Vec3A> {
         match self {
             Self::Triangle(l) => l.corners().to_vec(),
@@ -212,8 +213,8 @@ impl Light {
         }
     }
 
-    /// The point of a flat polygon that is seen from `reference` in direction `dir` (unit), with density 1: the caller has drawn the
-    /// direction. `None` where it is missed or sends no light there, and of other shapes.
+    /// Returns the point of a flat polygon that is seen from `reference` in direction `dir` (unit), with density 1: the caller has
+    /// drawn the direction. `None` if the direction misses it, if it sends no light there, and for other shapes.
     #[inline]
     pub fn toward(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
         match self {
@@ -228,12 +229,12 @@ impl Light {
         each!(self, l => l.power())
     }
 
-    /// Lower and upper corner of the bounding box, m.
+    /// Returns the lower and upper corner of the bounding box, m.
     pub fn bounds(&self) -> (Vec3A, Vec3A) {
         each!(self, l => l.bounds())
     }
 
-    /// A point in the middle of the light, of a flat one in its plane, m.
+    /// Returns a point in the middle of the light, m; for a flat light, it lies in its plane.
     pub fn center(&self) -> Vec3A {
         if let Self::Triangle(triangle) = self {
             return triangle.corners().iter().sum::<Vec3A>() / 3.0;
@@ -242,7 +243,7 @@ impl Light {
         (low + high) * 0.5
     }
 
-    /// Bound on normals and emission.
+    /// Returns the bound on normals and emission.
     pub fn emission_cone(&self) -> EmissionCone {
         match self {
             Self::Triangle(l) => flat_cone(l.normal(), &l.emission),
@@ -265,14 +266,14 @@ fn flat_cone(normal: Vec3A, emission: &Emission) -> EmissionCone {
     EmissionCone { axis: normal, cos_normals: 1.0, exponent, two_sided: emission.sides == Sides::Two }
 }
 
-/// Density over solid angle of a point drawn uniformly over `area` m2; 0 where it is not a positive finite number.
+/// Returns the density over solid angle of a point drawn uniformly over `area` m2; 0 if it is not a positive finite number.
 #[inline]
 fn area_pdf(area: f64, distance2: f64, cos: f64) -> f32 {
     let pdf = (distance2 / (area * cos.abs())) as f32;
     if pdf.is_finite() { pdf } else { 0.0 }
 }
 
-/// Direction and distance from `reference` to `position`, in double precision.
+/// Returns direction and distance from `reference` to `position`, in double precision.
 #[inline]
 fn toward(reference: DVec3, position: DVec3) -> Option<(DVec3, f64)> {
     let v = position - reference;
@@ -280,7 +281,7 @@ fn toward(reference: DVec3, position: DVec3) -> Option<(DVec3, f64)> {
     (distance > 0.0 && distance.is_finite()).then(|| (v / distance, distance))
 }
 
-/// Assembles a sample at the point `position` (f64), whose rounding to f32 is the error besides `relative` ulps of `scale`.
+/// Assembles a sample at the point `position` (f64). Its error is the rounding to f32 plus `relative` ulps of `scale`.
 #[inline]
 fn assemble(
     reference: DVec3,
@@ -311,8 +312,8 @@ fn assemble(
     })
 }
 
-/// Where a ray along `dir` meets the plane through `a` that `e1` and `e2` span, in units of these, if it is in front: `cross` is
-/// `e1 x e2`, and `a` and the ray are relative to the same point.
+/// Intersects a ray along `dir` with the plane through `a` that `e1` and `e2` span, and returns the coordinates in units of these
+/// if the point is in front. `cross` is `e1 x e2`; `a` and the ray are relative to the same point.
 #[inline]
 fn in_plane(a: DVec3, [e1, e2, cross]: [DVec3; 3], dir: DVec3) -> Option<[f64; 2]> {
     let distance = a.dot(cross) / dir.dot(cross);
@@ -322,7 +323,7 @@ fn in_plane(a: DVec3, [e1, e2, cross]: [DVec3; 3], dir: DVec3) -> Option<[f64; 2
     (distance > 0.0 && at[0] >= 0.0 && at[1] >= 0.0).then_some(at)
 }
 
-/// Bounds of a set of points.
+/// Returns the bounds of a set of points.
 fn bounds_of(points: &[Vec3A]) -> (Vec3A, Vec3A) {
     points.iter().fold((Vec3A::INFINITY, Vec3A::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)))
 }

@@ -1,7 +1,7 @@
 //! A parallelogram, front side `edge_u x edge_v`.
 //!
-//! A rectangle is sampled uniformly over its solid angle (\[urena2013\]); any other parallelogram as the two triangles of its
-//! diagonal, one of them chosen by solid angle. The limits are those of [`crate::solid_angle`].
+//! A rectangle is sampled uniformly over its solid angle (\[urena2013\]). Any other parallelogram is sampled as the two triangles
+//! of its diagonal, one of which is chosen by solid angle. The limits are those of [`crate::solid_angle`].
 
 use super::triangle::toward_plane;
 use super::{LightSample, area_pdf, assemble, bounds_of, in_plane};
@@ -10,7 +10,7 @@ use crate::solid_angle::{self, SphericalRectangle, Strategy};
 use femc_math::glam::{DVec3, Vec3A};
 use std::f32::consts::TAU;
 
-/// Largest cosine between the edges of what counts as a rectangle. The error in the density is of the second order in it.
+/// Largest cosine between the edges of a rectangle. The resulting error in the density is of second order in it.
 const RIGHT_ANGLE: f64 = 1e-5;
 
 /// A light in the shape of a parallelogram.
@@ -26,20 +26,20 @@ pub struct Parallelogram {
     reach2: f64,
     shape: Shape,
     scale: Vec3A,
-    /// What it emits.
+    /// Emission of the surface.
     pub emission: Emission,
 }
 
-/// What the density is computed from.
+/// Shape that determines the density.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shape {
-    /// Unit axes and extents.
+    /// Unit axes and extents of a rectangle.
     Rectangle { x: DVec3, y: DVec3, size: [f64; 2] },
-    /// Two triangles.
+    /// Other parallelograms, as two triangles.
     Skew,
 }
 
-/// What is seen from one reference point.
+/// Strategy for one reference point.
 enum View {
     Rectangle(SphericalRectangle),
     /// Solid angles of the triangles at the origin and at the opposite corner.
@@ -47,6 +47,7 @@ enum View {
 }
 
 impl Parallelogram {
+    /// Creates the light.
     /// - `origin`: a corner, m; `edge_u`, `edge_v`: the edges from it, m.
     pub fn new(origin: Vec3A, edge_u: Vec3A, edge_v: Vec3A, emission: Emission) -> Self {
         let (a, u, v) = (origin.as_dvec3(), edge_u.as_dvec3(), edge_v.as_dvec3());
@@ -54,7 +55,7 @@ impl Parallelogram {
         let size = [u.length(), v.length()];
         let right = u.dot(v).abs() <= RIGHT_ANGLE * size[0] * size[1];
         let shape = if right && cross != DVec3::ZERO {
-            // y is made exactly perpendicular within the plane.
+            // y is made exactly perpendicular to x within the plane.
             let x = u / size[0];
             Shape::Rectangle { x, y: cross.normalize().cross(x), size }
         } else {
@@ -74,17 +75,17 @@ impl Parallelogram {
         }
     }
 
-    /// Front normal, unit; zero without area.
+    /// Returns the front normal, unit; zero if the area is zero.
     pub fn normal(&self) -> Vec3A {
         self.normal.as_vec3a()
     }
 
-    /// m2.
+    /// Returns the area, m2.
     pub fn area(&self) -> f64 {
         self.area
     }
 
-    /// The rectangle as seen from `a`, the origin corner relative to the reference.
+    /// Returns the rectangle as seen from the reference; `a` is the origin corner relative to the reference.
     #[inline]
     fn view(&self, a: DVec3) -> (View, f64) {
         match self.shape {
@@ -114,7 +115,7 @@ impl Parallelogram {
         (Some(view), Strategy::of(omega))
     }
 
-    /// The corners in order, m.
+    /// Returns the corners in order, m.
     pub fn corners(&self) -> [Vec3A; 4] {
         let (u, v) = (self.edge_u, self.edge_v);
         [DVec3::ZERO, u, u + v, v].map(|corner| (self.origin + corner).as_vec3a())
@@ -175,7 +176,7 @@ impl Parallelogram {
         Some(self.coordinates(a, dir))
     }
 
-    /// (s, t) of the point that the ray along `dir` hits.
+    /// Returns (s, t) of the point that the ray along `dir` hits.
     #[inline]
     fn coordinates(&self, a: DVec3, dir: DVec3) -> [f64; 2] {
         let p = dir * (a.dot(self.cross) / dir.dot(self.cross)) - a;

@@ -10,18 +10,18 @@ use std::sync::Arc;
 /// A luminaire without a luminous size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PhotometricPoint {
-    /// m.
+    /// Position, m.
     pub position: Vec3A,
     /// The luminaire's x, y and z axes, unit; left-handed after a mirroring transform.
     pub axes: [Vec3A; 3],
     /// Intensity by direction.
     pub distribution: Arc<IntensityDistribution>,
-    /// Colour and multiplier of the intensity; luminance 1 leaves the file's candela.
+    /// Color and multiplier of the intensity; luminance 1 keeps the candela of the file.
     pub tint: Rgb,
 }
 
 impl PhotometricPoint {
-    /// Luminous intensity, cd, in the direction `dir` (unit, common frame, away from the light).
+    /// Returns the luminous intensity, cd, in the direction `dir` (unit, common frame, away from the light).
     #[inline]
     pub fn intensity(&self, dir: Vec3A) -> Rgb {
         let local = Vec3A::new(dir.dot(self.axes[0]), dir.dot(self.axes[1]), dir.dot(self.axes[2]));
@@ -47,7 +47,7 @@ impl PhotometricPoint {
         })
     }
 
-    /// No ray finds a point.
+    /// Returns 0, because no ray hits a point.
     #[inline]
     pub fn pdf(&self, _reference: Vec3A, _position: Vec3A, _normal: Vec3A, _dir: Vec3A) -> f32 {
         0.0
@@ -58,7 +58,7 @@ impl PhotometricPoint {
         luminance(self.tint) * self.distribution.flux() as f32
     }
 
-    /// The point itself.
+    /// Returns the point itself as both corners.
     pub fn bounds(&self) -> (Vec3A, Vec3A) {
         (self.position, self.position)
     }

@@ -1,9 +1,9 @@
 //! A convex luminous opening with a measured intensity distribution.
 //!
-//! Every point of the surface has the radiance `L(w) = I(w) / A(w)` toward `w`, A the area of the body projected along w. So
-//! the intensity from afar is exactly I for every direction, and neighbouring faces match in brightness. Flat openings
-//! are given a thickness of 1 % of their largest extent, but at least 1 mm: where I does not vanish in the plane of the
-//! opening there must be a side for that light to leave by.
+//! Every point of the surface has the radiance `L(w) = I(w) / A(w)` toward `w`, where A is the area of the body projected along w.
+//! Therefore the intensity from afar is exactly I for every direction, and neighboring faces match in brightness. Flat openings get
+//! a thickness of 1 % of their largest extent, but at least 1 mm. If I does not vanish in the plane of the opening, light must
+//! leave through a side.
 
 use super::{LightSample, area_pdf, assemble};
 use crate::photometry::IntensityDistribution;
@@ -17,10 +17,10 @@ use std::sync::Arc;
 
 /// Thickness of a flat opening relative to its largest extent.
 const RELATIVE_THICKNESS: f32 = 0.01;
-/// Smallest thickness, m.
+/// Minimum thickness, m.
 const LEAST_THICKNESS: f32 = 1e-3;
 
-/// Shape of the opening, in the luminaire's frame, centred on the origin.
+/// Shape of the opening, in the luminaire's frame, centered on the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Solid {
     /// Half extents along x, y and z, m, > 0.
@@ -28,39 +28,39 @@ pub enum Solid {
         /// Half extents.
         half: [f32; 3],
     },
-    /// About the z axis.
+    /// A cylinder about the z axis.
     Cylinder {
-        /// m, > 0.
+        /// Radius, m, > 0.
         radius: f32,
-        /// m, > 0.
+        /// Half of the height, m, > 0.
         half_height: f32,
     },
     /// A ball.
     Sphere {
-        /// m, > 0.
+        /// Radius, m, > 0.
         radius: f32,
     },
 }
 
 impl Solid {
-    /// A box with these full extents, m; zero ones are thickened.
+    /// Creates a box with these full extents, m; zero extents are thickened.
     pub fn cuboid(x: f32, y: f32, z: f32) -> Self {
         let least = thickness(x.max(y).max(z));
         Self::Box { half: [x, y, z].map(|e| 0.5 * e.max(least)) }
     }
 
-    /// A cylinder of this diameter and height, m; a zero height is thickened.
+    /// Creates a cylinder of this diameter and height, m; a zero height is thickened.
     pub fn cylinder(diameter: f32, height: f32) -> Self {
         let least = thickness(diameter.max(height));
         Self::Cylinder { radius: 0.5 * diameter.max(least), half_height: 0.5 * height.max(least) }
     }
 
-    /// A ball of this diameter, m.
+    /// Creates a ball of this diameter, m.
     pub fn sphere(diameter: f32) -> Self {
         Self::Sphere { radius: 0.5 * diameter.max(LEAST_THICKNESS) }
     }
 
-    /// Area projected along the unit direction `w` of the luminaire's frame, m2; > 0.
+    /// Returns the area projected along the unit direction `w` of the luminaire's frame, m2; > 0.
     #[inline]
     pub fn projected_area(&self, w: Vec3A) -> f32 {
         match *self {
@@ -78,10 +78,10 @@ fn thickness(extent: f32) -> f32 {
     (RELATIVE_THICKNESS * extent).max(LEAST_THICKNESS)
 }
 
-/// A part of the opening's surface in the common frame, for the tracer; normals point outward, emission is one-sided.
+/// A part of the opening's surface in the common frame, for the ray tracer; normals point outward, emission is one-sided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Face {
-    /// Front side `edge_u x edge_v`, whatever the handedness of the luminaire's axes.
+    /// A parallelogram with front side `edge_u x edge_v`, whatever the handedness of the luminaire's axes.
     Parallelogram {
         /// A corner, m.
         origin: Vec3A,
@@ -92,27 +92,27 @@ pub enum Face {
     },
     /// Open cylinder, outward normals.
     Cylinder {
-        /// Centre of one end, m.
+        /// Center of one end, m.
         base: Vec3A,
-        /// Centre of the other, m.
+        /// Center of the other end, m.
         top: Vec3A,
-        /// m.
+        /// Radius, m.
         radius: f32,
     },
     /// A disc.
     Disc {
-        /// m.
+        /// Center, m.
         center: Vec3A,
-        /// Unit.
+        /// Normal, unit.
         normal: Vec3A,
-        /// m.
+        /// Radius, m.
         radius: f32,
     },
     /// A sphere, outward normals.
     Sphere {
-        /// m.
+        /// Center, m.
         center: Vec3A,
-        /// m.
+        /// Radius, m.
         radius: f32,
     },
 }
@@ -120,7 +120,7 @@ pub enum Face {
 /// A luminaire with a luminous opening.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PhotometricSolid {
-    /// Centre of the opening, m.
+    /// Center of the opening, m.
     pub center: Vec3A,
     /// The luminaire's x, y and z axes, unit and perpendicular; left-handed after a mirroring transform.
     pub axes: [Vec3A; 3],
@@ -128,11 +128,11 @@ pub struct PhotometricSolid {
     pub solid: Solid,
     /// Intensity by direction.
     pub distribution: Arc<IntensityDistribution>,
-    /// Colour and multiplier of the intensity; luminance 1 leaves the file's candela.
+    /// Color and multiplier of the intensity; luminance 1 keeps the candela of the file.
     pub tint: Rgb,
 }
 
-/// A drawn point of the surface: position and outward normal relative to the centre, in luminaire axes.
+/// A sampled point of the surface: position and outward normal relative to the center, in luminaire axes.
 struct Drawn {
     position: DVec3,
     normal: DVec3,
@@ -152,7 +152,7 @@ struct Side {
     axis: usize,
     sign: f64,
     view: SphericalRectangle,
-    /// Area times the distance of the reference before the face: proportional to the projected area over d^3.
+    /// Area times the reference's distance in front of the face: proportional to the projected area over d^3.
     facing: f64,
 }
 
@@ -167,14 +167,15 @@ impl PhotometricSolid {
         x * v.x + y * v.y + z * v.z
     }
 
-    /// Luminous intensity of the whole, cd, in the direction `dir` (unit, common frame, away from the light).
+    /// Returns the luminous intensity of the whole light, cd, in the direction `dir` (unit, common frame, away from the light).
     #[inline]
     pub fn intensity(&self, dir: Vec3A) -> Rgb {
         let local = Vec3A::new(dir.dot(self.axes[0]), dir.dot(self.axes[1]), dir.dot(self.axes[2]));
         self.tint * self.distribution.intensity(local)
     }
 
-    /// Radiance, cd/m2, toward `dir` (unit, common frame, away from the light) from a point with outward normal `normal`.
+    /// Returns the radiance, cd/m2, toward `dir` (unit, common frame, away from the light) from a point with outward normal
+    /// `normal`.
     #[inline]
     pub fn radiance(&self, dir: Vec3A, normal: Vec3A) -> Rgb {
         if dir.dot(normal) <= 0.0 {
@@ -184,7 +185,7 @@ impl PhotometricSolid {
         self.tint * (self.distribution.intensity(w) / self.solid.projected_area(w))
     }
 
-    /// The faces of a box that look at `p` (relative to the centre, luminaire axes).
+    /// Returns the faces of a box that face `p` (relative to the center, luminaire axes).
     fn sides(half: [f32; 3], p: DVec3) -> ([Option<Side>; 3], f64, f64) {
         let half = half.map(f64::from);
         let units = [DVec3::X, DVec3::Y, DVec3::Z];
@@ -246,7 +247,7 @@ impl PhotometricSolid {
         Density::Area(side.facing / facing / area)
     }
 
-    /// Lateral area and the area of the cap that looks at `p` (0 if none), with the cap's side.
+    /// Returns the lateral area and the area of the cap that faces `p` (0 if none), with the cap's side.
     fn cylinder_areas(radius: f32, half_height: f32, p: DVec3) -> (f64, f64, f64) {
         let (r, h) = (f64::from(radius), f64::from(half_height));
         let lateral = if p.x * p.x + p.y * p.y > r * r { 2.0 * TAU * r * h } else { 0.0 };
@@ -360,7 +361,7 @@ impl PhotometricSolid {
         (self.center - extent, self.center + extent)
     }
 
-    /// The surface of the opening in the common frame, with normals outward, for the tracer: a light that rays can hit.
+    /// Returns the surface of the opening in the common frame, with outward normals, for the ray tracer: rays can hit this light.
     pub fn faces(&self) -> Vec<Face> {
         let [x, y, z] = self.axes;
         match self.solid {

@@ -15,11 +15,12 @@ pub struct Ring {
     bitangent: DVec3,
     inner: f64,
     outer: f64,
-    /// What it emits.
+    /// Emission of the surface.
     pub emission: Emission,
 }
 
 impl Ring {
+    /// Creates the light.
     /// - `center`, m; `normal`: front, unit; radii in m, `0 <= inner < outer`.
     pub fn new(center: Vec3A, normal: Vec3A, inner: f32, outer: f32, emission: Emission) -> Self {
         let normal = normal.as_dvec3().normalize_or(DVec3::Z);
@@ -33,7 +34,7 @@ impl Ring {
         self.normal.as_vec3a()
     }
 
-    /// m2.
+    /// Returns the area, m2.
     pub fn area(&self) -> f64 {
         PI * (self.outer - self.inner) * (self.outer + self.inner)
     }

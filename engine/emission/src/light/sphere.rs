@@ -1,10 +1,10 @@
 //! A sphere. A negative radius turns the normals inward.
 //!
-//! From outside it is sampled uniformly over the cone that it fills, from inside uniformly over all directions. A one-sided
-//! sphere with inward normals is transparent from outside: what is seen there is the far wall's inside.
+//! From outside, it is sampled uniformly over the cone that it fills; from inside, uniformly over all directions. A one-sided
+//! sphere with inward normals is transparent from outside, where the inside of the far wall is visible.
 //!
-//! A reference point on the sphere itself is rounded to the one side or to the other, which says nothing about what is seen from there.
-//! The far wall is drawn then, uniformly by area; the near wall, of which only a point beside a sphere sees something, is not.
+//! A reference point on the sphere itself may be rounded to either side, so its side does not decide what it sees. In this case the
+//! far wall is sampled, uniformly by area. The near wall, which only a point outside the sphere could see, is not sampled.
 
 use super::{LightSample, assemble};
 use crate::emission::{Emission, Sides};
@@ -17,21 +17,21 @@ use std::f64::consts::{PI, TAU};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sphere {
     center: DVec3,
-    /// > 0, m.
+    /// Radius, > 0, m.
     radius: f64,
     /// 1 for outward normals, -1 for inward ones.
     facing: f64,
-    /// What it emits.
+    /// Emission of the surface.
     pub emission: Emission,
 }
 
-/// The cone that a sphere fills for a point outside it.
+/// The cone that a sphere fills for a point outside of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct OutsideView {
     radius: f64,
     to_center: DVec3,
     distance2: f64,
-    /// 1 - cos of the cone's half angle, without cancellation.
+    /// 1 - cos of the cone's half angle, computed without cancellation.
     versine: f64,
 }
 
@@ -42,7 +42,7 @@ enum Wall {
 }
 
 impl OutsideView {
-    /// `None` from inside. `to_center`: from the reference to the centre, m.
+    /// Returns the cone; `None` from inside. `to_center`: from the reference to the center, m.
     #[inline]
     pub(super) fn new(radius: f64, to_center: DVec3) -> Option<Self> {
         let distance2 = to_center.length_squared();
@@ -51,13 +51,13 @@ impl OutsideView {
         (sin2 < 1.0 && versine > 0.0).then_some(Self { radius, to_center, distance2, versine })
     }
 
-    /// Density of the directions, 1/sr.
+    /// Returns the density of the directions, 1/sr.
     #[inline]
     pub(super) fn density(&self) -> f64 {
         1.0 / (TAU * self.versine)
     }
 
-    /// Outward unit normal of a visible point, uniform over the cone.
+    /// Returns the outward unit normal of a visible point, uniform over the cone.
     #[inline]
     pub(super) fn sample(&self, u: [f32; 2]) -> DVec3 {
         self.sample_wall(u, Wall::Near)
@@ -69,7 +69,7 @@ impl OutsideView {
         let distance = self.distance2.sqrt();
         let versine = f64::from(u[0]) * self.versine;
         let (sin2, cos) = (versine * (2.0 - versine), 1.0 - versine);
-        // The point's angle at the centre, from the two sides and the angle at the reference.
+        // The point's angle at the center follows from the two sides and the angle at the reference.
         let half_chord = (self.radius * self.radius - self.distance2 * sin2).max(0.0).sqrt();
         let half_chord = match wall {
             Wall::Near => half_chord,
@@ -83,21 +83,22 @@ impl OutsideView {
     }
 }
 
-/// The wall that a reference point sees, and the density of its directions.
+/// The wall that a reference point sees, which determines the density of directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum View {
-    /// Nothing.
+    /// No lit wall.
     Dark,
-    /// From outside: the near wall, or the far one where the near one is transparent.
+    /// From outside: the near wall, or the far one if the near one is transparent.
     Cone(OutsideView, Wall),
     /// From inside.
     Inside,
-    /// From the sphere itself, as far as rounding lets that be known: the far wall, whose directions have the density cos / pi about
-    /// this unit vector to the centre.
+    /// From the sphere itself, within rounding: the far wall, whose directions have the density cos / pi about this unit vector to
+    /// the center.
     On(DVec3),
 }
 
 impl Sphere {
+    /// Creates the light.
     /// - `center`, m; `radius`: m, negative for inward normals.
     pub fn new(center: Vec3A, radius: f32, emission: Emission) -> Self {
         Self {
@@ -108,7 +109,7 @@ impl Sphere {
         }
     }
 
-    /// m2.
+    /// Returns the area, m2.
     pub fn area(&self) -> f64 {
         4.0 * PI * self.radius * self.radius
     }
@@ -118,7 +119,7 @@ impl Sphere {
         let to_center = self.center - origin;
         let one_sided = self.emission.sides == Sides::One;
         let distance = to_center.length();
-        // Of a surface point, of the centre and of the radius in single precision.
+        // Rounding of a surface point, of the center and of the radius in single precision.
         let rounding = origin.abs().max_element() + self.center.abs().max_element() + self.radius;
         if (distance - self.radius).abs() <= f64::from(gamma(8)) * rounding && distance > 0.5 * self.radius {
             let faces_away = one_sided && self.facing > 0.0;
@@ -133,7 +134,7 @@ impl Sphere {
         }
     }
 
-    /// Density of a direction, 1/sr.
+    /// Returns the density of a direction, 1/sr.
     #[inline]
     fn density(view: View, dir: DVec3) -> f32 {
         let pdf = match view {
@@ -165,7 +166,7 @@ impl Sphere {
                 ((dir * t - to_center) / self.radius).normalize_or_zero()
             }
             View::On(axis) => {
-                // Seen from the sphere, equal areas are equal shares of cos / pi; u = 1 is the reference itself.
+                // From a point on the sphere, equal areas are equal shares of cos / pi; u = 1 is the reference itself.
                 let cos = 1.0 - 2.0 * f64::from(u[0]);
                 let sin = (1.0 - cos * cos).max(0.0).sqrt();
                 let (sin_phi, cos_phi) = sin_cos(TAU * f64::from(u[1]));

@@ -13,18 +13,19 @@ pub struct Torus {
     axis: DVec3,
     tangent: DVec3,
     bitangent: DVec3,
-    /// Radius of the tube's centre line, m.
+    /// Radius of the tube's center line, m.
     major: f64,
     /// Radius of the tube, m, <= major.
     minor: f64,
     facing: f64,
-    /// What it emits.
+    /// Emission of the surface.
     pub emission: Emission,
 }
 
 impl Torus {
-    /// - `center`, m; `axis`: unit; `inner`, `outer`: smallest and largest distance from the axis, m; both negative for
-    ///   inward normals.
+    /// Creates the light.
+    /// - `center`, m; `axis`: unit; `inner`, `outer`: smallest and largest distance from the axis, m; both negative for inward
+    ///   normals.
     pub fn new(center: Vec3A, axis: Vec3A, inner: f32, outer: f32, emission: Emission) -> Self {
         let axis = axis.as_dvec3().normalize_or(DVec3::Z);
         let (tangent, bitangent) = axis.any_orthonormal_pair();
@@ -41,7 +42,7 @@ impl Torus {
         }
     }
 
-    /// m2.
+    /// Returns the area, m2.
     pub fn area(&self) -> f64 {
         4.0 * PI * PI * self.major * self.minor
     }
@@ -65,7 +66,7 @@ impl Torus {
         )
     }
 
-    /// Angle v about the tube with density (major + minor cos v) / (2 pi major): the root of
+    /// Samples the angle v about the tube with density (major + minor cos v) / (2 pi major): the root of
     /// `v + (minor / major) sin v = 2 pi u`, by Newton steps inside a shrinking bracket.
     fn tube_angle(&self, u: f64) -> f64 {
         let (ratio, goal) = (self.minor / self.major, TAU * u);

@@ -1,7 +1,7 @@
 //! A flat triangle, front side by the right-hand rule.
 //!
-//! Seen under a moderate solid angle it is sampled uniformly over it (\[arvo1995\]); nearly filling a hemisphere, over the
-//! hemisphere; below 1e-8 sr, by area.
+//! Under a moderate solid angle, it is sampled uniformly over the solid angle (\[arvo1995\]). If it nearly fills a hemisphere,
+//! directions are sampled over the hemisphere. Below 1e-8 sr, it is sampled by area.
 
 use super::{LightSample, area_pdf, assemble, bounds_of, in_plane};
 use crate::emission::{Emission, Sides};
@@ -25,12 +25,12 @@ pub struct Triangle {
     reach2: f64,
     /// Largest coordinates of the vertices, m: the scale of position errors.
     scale: Vec3A,
-    /// What it emits.
+    /// Emission of the surface.
     pub emission: Emission,
 }
 
 impl Triangle {
-    /// From three vertices, m; the same floats as the geometry's.
+    /// Creates the light from three vertices, m, which must be the same floats as in the geometry.
     pub fn new(vertices: [Vec3A; 3], emission: Emission) -> Self {
         let [a, b, c] = vertices.map(|v| v.as_dvec3());
         let cross = (b - a).cross(c - a);
@@ -48,17 +48,17 @@ impl Triangle {
         }
     }
 
-    /// Front normal, unit; zero for a triangle without area.
+    /// Returns the front normal, unit; zero for a triangle without area.
     pub fn normal(&self) -> Vec3A {
         self.normal.as_vec3a()
     }
 
-    /// m2.
+    /// Returns the area, m2.
     pub fn area(&self) -> f64 {
         self.area
     }
 
-    /// Strategy for `a`, the first vertex as seen from the reference.
+    /// Returns the strategy for `a`, the first vertex as seen from the reference.
     #[inline]
     fn strategy(&self, a: DVec3) -> Strategy {
         let behind = a.dot(self.normal);
@@ -104,7 +104,7 @@ impl Triangle {
         )
     }
 
-    /// The vertices, m.
+    /// Returns the vertices, m.
     pub fn corners(&self) -> [Vec3A; 3] {
         [self.origin, self.origin + self.e1, self.origin + self.e2].map(|v| v.as_vec3a())
     }
@@ -121,7 +121,7 @@ impl Triangle {
         assemble(origin, position, self.normal, self.scale, |_, _| 1.0, |_, cos| self.emission.radiance(cos), [b1, b2])
     }
 
-    /// Barycentric coordinates of the point that the ray along `dir` hits.
+    /// Returns the barycentric coordinates of the point that the ray along `dir` hits.
     #[inline]
     fn barycentric(&self, a: DVec3, dir: DVec3) -> [f64; 2] {
         let p = dir * (a.dot(self.cross) / dir.dot(self.cross)) - a;
@@ -159,7 +159,7 @@ impl Triangle {
     }
 }
 
-/// A direction uniform over the hemisphere that looks at the plane with `normal` through the point `a`.
+/// Samples a direction uniformly over the hemisphere that faces the plane with `normal` through the point `a`.
 #[inline]
 pub(super) fn toward_plane(normal: DVec3, a: DVec3, u: [f32; 2]) -> DVec3 {
     let axis = if a.dot(normal) < 0.0 { -normal } else { normal };

@@ -1,11 +1,11 @@
-//! Short elementary functions for densities, over vectors.
+//! Fast approximations of elementary functions for densities, over vectors.
 //!
-//! What is drawn is divided by the same number, so that an error costs variance and no bias; each function says how large it is.
+//! Samples are divided by the same approximate density, so an error costs variance but no bias. Each function states its error.
 
 use femc_simd::{Simd, Vector};
 
-/// `exp(x)` for x >= 0, as a denominator: too small by 0.4 % at 5, by 6 % at 10, and more beyond, so that what is far is not forgotten;
-/// infinite where that overflows.
+/// Approximates `exp(x)` for x >= 0, as a denominator. The result is too small by 0.4 % at 5, by 6 % at 10, and by more beyond, so
+/// that far lights keep some weight; infinite on overflow.
 #[inline(always)]
 pub fn growth<S: Simd>(simd: S, x: S::V) -> S::V {
     let c = |x| simd.splat(x);
@@ -17,14 +17,14 @@ pub fn growth<S: Simd>(simd: S, x: S::V) -> S::V {
     p * p
 }
 
-/// `exp(-x)` for x >= 0, by [`growth`].
+/// Approximates `exp(-x)` for x >= 0 with [`growth`].
 #[inline(always)]
 pub fn attenuation<S: Simd>(simd: S, x: S::V) -> S::V {
     simd.splat(1.0) / growth(simd, x)
 }
 
-/// `cos^-m` for a cosine in 0..1 and m >= 0, as a denominator, from below: too small by 1 % at 60 degrees for m = 1, and by more the narrower
-/// and the farther off.
+/// Approximates `cos^-m` for a cosine in 0..1 and m >= 0, as a denominator, from below. The result is too small by 1 % at 60
+/// degrees for m = 1, and by more for larger m and larger angles.
 #[inline(always)]
 pub fn narrowing<S: Simd>(simd: S, cos: S::V, m: S::V) -> S::V {
     let c = |x| simd.splat(x);
@@ -33,7 +33,7 @@ pub fn narrowing<S: Simd>(simd: S, cos: S::V, m: S::V) -> S::V {
     growth(simd, m * logarithm)
 }
 
-/// Arc tangent of x >= 0, which may be infinite, rad, to 2e-5.
+/// Approximates the arc tangent of x >= 0, which may be infinite, rad, to 2e-5.
 #[inline(always)]
 pub fn arc_tangent<S: Simd>(simd: S, x: S::V) -> S::V {
     let c = |x| simd.splat(x);
@@ -47,7 +47,7 @@ pub fn arc_tangent<S: Simd>(simd: S, x: S::V) -> S::V {
     is_large.select(c(std::f32::consts::FRAC_PI_2) - angle, angle)
 }
 
-/// Sine and cosine of x in 0..pi/4, to 4e-7.
+/// Approximates sine and cosine of x in 0..pi/4, to 4e-7.
 #[inline(always)]
 pub fn sine_cosine<S: Simd>(simd: S, x: S::V) -> (S::V, S::V) {
     let c = |x| simd.splat(x);
@@ -57,7 +57,7 @@ pub fn sine_cosine<S: Simd>(simd: S, x: S::V) -> (S::V, S::V) {
     (sin, cos)
 }
 
-/// Arc sine of x in 0..1, rad, to 3e-8 (\[abramowitz1964\], 4.4.46).
+/// Approximates the arc sine of x in 0..1, rad, to 3e-8 (\[abramowitz1964\], 4.4.46).
 #[inline(always)]
 pub fn arc_sine<S: Simd>(simd: S, x: S::V) -> S::V {
     let c = |x| simd.splat(x);
@@ -73,7 +73,7 @@ mod tests {
     use super::*;
     use femc_simd::{Lanes, Level, Task};
 
-    /// All functions at eight numbers.
+    /// Task that evaluates all functions at eight numbers.
     struct At(Lanes);
 
     impl Task for At {

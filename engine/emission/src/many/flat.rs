@@ -1,41 +1,42 @@
-//! Lights side by side in vectors, to be weighed all at once.
+//! A flat list of lights, stored in vectors and weighted all at once.
 
 use super::approx::narrowing;
 use crate::tree::Node;
 use femc_math::glam::Vec3A;
 use femc_simd::{Lanes, Level, Simd, Task, Vector, WIDTH};
 
-/// Lights at most that are weighed one by one.
+/// Maximum number of lights that are weighted individually.
 pub const MOST: usize = 128;
-/// Cosines of bounds are trusted up to this much: rounding shall not lose a light.
+/// Tolerance of cosines of bounds, so that rounding does not lose a light.
 const SLACK: f32 = 1e-3;
-/// No weight is more: the sum of all stays finite.
+/// Maximum weight, which keeps the sum of all weights finite.
 const HEAVIEST: f32 = 1e30;
 
-/// Eight lights. In lanes without one the intensity is 0.
+/// Eight lights. In unused lanes, the intensity is 0.
 #[derive(Clone, Debug)]
 struct Block {
     center: [Lanes; 3],
     radius: Lanes,
     axis: [Lanes; 3],
-    /// How far the middle may be from the plane that is the border of what the light sees: its radius, 0 of a flat light.
+    /// Tolerance for the distance of the middle from the border plane of the light's visible half-space: the radius, or 0 for a
+    /// flat light.
     border: Lanes,
-    /// Candela at the peak of the profile.
+    /// Intensity at the peak of the profile, cd.
     intensity: Lanes,
     exponent: Lanes,
     cos_normals: Lanes,
     sin_normals: Lanes,
-    /// Masks.
+    /// Mask of the two-sided lights.
     two_sided: Lanes,
     everywhere: Lanes,
     haze: Lanes,
-    /// Whether each is flat, or sends light everywhere.
+    /// Whether each light is flat, or sends light everywhere.
     all_flat: bool,
-    /// Whether the intensity of each follows the cosine itself.
+    /// Whether the intensity of each light follows the cosine itself.
     all_lambertian: bool,
 }
 
-/// A mask as a lane.
+/// Converts a flag to a mask lane.
 fn mask(is_set: bool) -> f32 {
     f32::from_bits(if is_set { u32::MAX } else { 0 })
 }
@@ -62,7 +63,7 @@ impl Block {
     }
 }
 
-/// The lights.
+/// The lights in blocks of eight.
 #[derive(Clone, Debug)]
 pub struct Flat {
     blocks: Vec<Block>,
@@ -73,7 +74,7 @@ pub struct Flat {
 #[derive(Clone, Debug)]
 pub struct Weights {
     lanes: [Lanes; MOST / WIDTH],
-    /// Sums of the blocks' lanes.
+    /// Sum of the lanes of each block.
     sums: [f64; MOST / WIDTH],
     blocks: usize,
     total: f64,
@@ -96,7 +97,8 @@ impl Weights {
         }
     }
 
-    /// Draws a light by `u` in [0, 1): its number, probability > 0, and what is left of `u`, in [0, 1). `None` where no light has a weight.
+    /// Draws a light with `u` in [0, 1). Returns its number, probability > 0, and the remainder of `u` rescaled to [0, 1); `None`
+    /// if no light has a weight.
     #[inline]
     pub fn choose(&self, u: f64) -> Option<(usize, f32, f32)> {
         let mut rest = u * self.total;
@@ -127,12 +129,12 @@ impl Weights {
         Some((light, (weight / self.total) as f32, left)).filter(|&(_, probability, _)| probability > 0.0)
     }
 
-    /// Whether no light has a weight.
+    /// Checks whether no light has a weight.
     pub fn is_nothing(&self) -> bool {
         self.total <= 0.0
     }
 
-    /// Probability with which [`Self::choose`] draws a light.
+    /// Returns the probability with which [`Self::choose`] draws a light.
     #[inline]
     pub fn probability(&self, light: usize) -> f32 {
         let weight = f64::from(self.lanes[light / WIDTH].0[light % WIDTH]);
@@ -146,43 +148,43 @@ impl Flat {
         Self { blocks: lights.chunks(WIDTH).map(Block::of).collect(), level: Level::detect() }
     }
 
-    /// The same by plain arrays, for tests.
+    /// Returns the list for plain arrays, for tests.
     #[cfg(test)]
     pub fn portable(self) -> Self {
         Self { level: Level::PORTABLE, ..self }
     }
 
-    /// Weighs every light for a place.
+    /// Computes the weight of every light for a place.
     #[inline]
     pub fn weigh<W: Weigh>(&self, place: &W, out: &mut Weights) {
         self.level.run(Sweep { blocks: &self.blocks, place, out });
     }
 
-    /// The instruction set to use.
+    /// Returns the instruction set that is used.
     pub fn level(&self) -> Level {
         self.level
     }
 
-    /// Sum over the lights of their probability in `weights`, times a function of the direction and distance to their middle.
+    /// Sums over the lights their probability in `weights`, times a function of their middle and radius.
     #[inline]
     pub fn mixture<M: Mixture>(&self, weights: &Weights, of: &M) -> f32 {
         self.level.run(Mix { blocks: &self.blocks, weights, of })
     }
 }
 
-/// What lights are worth to a place.
+/// A place that computes the weights of lights.
 pub trait Weigh {
-    /// Weights of eight lights, >= 0; 0 only where a light can send nothing. `#[inline(always)]`.
+    /// Returns the weights of eight lights, >= 0; 0 only if a light can send nothing. `#[inline(always)]`.
     fn weigh<S: Simd>(&self, simd: S, lights: &Seen<S>) -> S::V;
 }
 
 /// A function of a light's middle and radius.
 pub trait Mixture {
-    /// Its value for eight lights' middles. `#[inline(always)]`.
+    /// Returns the values for eight lights' middles. `#[inline(always)]`.
     fn value<S: Simd>(&self, simd: S, center: [S::V; 3], radius: S::V) -> S::V;
 }
 
-/// Eight lights in vectors.
+/// Eight lights, loaded into vectors.
 pub struct Seen<S: Simd> {
     simd: S,
     pub center: [S::V; 3],
@@ -195,7 +197,7 @@ pub struct Seen<S: Simd> {
     sin_normals: S::V,
     two_sided: S::V,
     everywhere: S::V,
-    /// Extinction of the media around each, 1/m.
+    /// Extinction of the media around each light, 1/m.
     pub haze: S::V,
     all_flat: bool,
     all_lambertian: bool,
@@ -224,9 +226,9 @@ impl<S: Simd> Seen<S> {
         }
     }
 
-    /// Share of the intensity that is sent, at most, in directions from the light whose cosine with its axis is `cos`, where `inverse` is
-    /// one over the distance, 1/m; 0 only where it sends nothing there. As numerator and denominator, for a division costs more than
-    /// all the rest.
+    /// Returns an upper estimate of the fraction of the intensity that is sent in directions from the light whose cosine with its
+    /// axis is `cos`; 0 only if nothing is sent there. `inverse` is one over the distance, 1/m. The result is a numerator and a
+    /// denominator, because a division costs more than all the rest.
     #[inline(always)]
     pub fn profile(&self, cos: S::V, inverse: S::V) -> [S::V; 2] {
         let c = |x| self.simd.splat(x);
@@ -241,7 +243,7 @@ impl<S: Simd> Seen<S> {
             (off, (self.border * inverse).min(one))
         };
         let is_seen = c(-SLACK).lt(off + border);
-        // Beside a light that is near some of it is seen under a better angle than its middle.
+        // A near light has parts that are seen under a better angle than its middle.
         let cos = (off.max(zero) + c(0.5) * subtended).min(one).max(c(SLACK));
         let whole = self.everywhere;
         let numerator = whole.select(one, is_seen.select(cos, zero));
@@ -251,7 +253,8 @@ impl<S: Simd> Seen<S> {
         [numerator, whole.select(one, narrowing(self.simd, cos, self.exponent - one))]
     }
 
-    /// Mask of the lights that send something to one of two places at `a` and `b`, or to a place between them, given from the lights' middles.
+    /// Returns the mask of the lights that send light to `a`, to `b`, or to a point between them; both are relative to the lights'
+    /// middles.
     #[inline(always)]
     pub fn faces(&self, a: [S::V; 3], b: [S::V; 3]) -> S::V {
         let c = |x| self.simd.splat(x);
@@ -274,13 +277,13 @@ pub fn minus<V: Vector>(a: [V; 3], b: [V; 3]) -> [V; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// `a + b scale`.
+/// Computes `a + b scale`.
 #[inline(always)]
 pub fn plus<V: Vector>(a: [V; 3], b: [V; 3], scale: V) -> [V; 3] {
     [a[0] + b[0] * scale, a[1] + b[1] * scale, a[2] + b[2] * scale]
 }
 
-/// A vector in all lanes.
+/// Copies a vector to all lanes.
 #[inline(always)]
 pub fn splat<S: Simd>(simd: S, v: Vec3A) -> [S::V; 3] {
     [simd.splat(v.x), simd.splat(v.y), simd.splat(v.z)]

@@ -1,8 +1,8 @@
 //! Choice of one light among many.
 //!
-//! Up to 128 lights are weighed one by one, eight at a time (`flat`): by the light that they send to a point (`point`) or that fog scatters on a
-//! segment (`segment`), unhindered. The weights are kept, so that what multiple importance sampling asks for later, at the same place,
-//! is read from them. Of more lights one is chosen by the tree.
+//! Up to 128 lights are weighted individually, eight at a time (`flat`): by the unoccluded light that they send to a point
+//! (`point`), or that fog scatters on a segment (`segment`). The weights are kept, so that multiple importance sampling can later
+//! look up a probability at the same place. For more lights, the tree chooses one.
 
 pub(crate) mod approx;
 mod flat;
@@ -17,7 +17,7 @@ use flat::{Flat, MOST, Weigh, Weights};
 
 pub use toward::FromPoint;
 
-/// A place that wants light.
+/// A place that receives light.
 pub trait Wanting: Place + Weigh {}
 impl<P: Place + Weigh> Wanting for P {}
 
@@ -25,17 +25,17 @@ impl<P: Place + Weigh> Wanting for P {}
 #[derive(Clone, Debug)]
 pub struct ManyLights {
     tree: LightTree,
-    /// The lights from left to right in the tree if they are few, else clusters of them.
+    /// The lights from left to right in the tree if they are few, otherwise clusters of them.
     flat: Flat,
-    /// What the lanes of `flat` hold.
+    /// Nodes in the lanes of `flat`.
     nodes: Vec<Node>,
-    /// The light of each lane, if each holds one.
+    /// The light of each lane, if each lane holds a single light.
     lights: Option<Vec<u32>>,
-    /// The only light.
+    /// The light, if there is only one.
     sole: Option<u32>,
 }
 
-/// What the lights are worth to one place.
+/// Weights of the lights for one place.
 #[derive(Clone, Debug, Default)]
 pub struct Choice {
     weights: Weights,
@@ -49,7 +49,8 @@ impl Default for ManyLights {
 }
 
 impl ManyLights {
-    /// Of lights whose indices it gives out. Those without power, or with bounds that are not finite, are never chosen.
+    /// Prepares the choice among `lights`, which returns indices into them. Lights without power, or with bounds that are not
+    /// finite, are never chosen.
     pub fn new(lights: &[LightBounds]) -> Self {
         let tree = LightTree::new(lights);
         let leaves = tree.leaves();
@@ -68,12 +69,12 @@ impl ManyLights {
         }
     }
 
-    /// Whether no light can be chosen.
+    /// Checks whether no light can be chosen.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }
 
-    /// Weighs the lights for `place`.
+    /// Computes the weights of the lights for `place`.
     #[inline]
     pub fn weigh(&self, place: &impl Wanting, choice: &mut Choice) {
         if self.sole.is_some() {
@@ -84,8 +85,8 @@ impl ManyLights {
         }
     }
 
-    /// Chooses a light by `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
-    /// - `choice`: as [`Self::weigh`] made it for the same place.
+    /// Chooses a light with `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
+    /// - `choice`: from [`Self::weigh`] for the same place.
     #[inline]
     pub fn choose(&self, choice: &Choice, place: &impl Wanting, u: f64) -> Option<(u32, f32)> {
         if let Some(sole) = self.sole {
@@ -97,7 +98,7 @@ impl ManyLights {
         }
     }
 
-    /// Probability with which [`Self::choose`] chooses `light`.
+    /// Returns the probability with which [`Self::choose`] chooses `light`.
     #[inline]
     pub fn probability(&self, choice: &Choice, place: &impl Wanting, light: u32) -> f32 {
         if let Some(sole) = self.sole {
@@ -111,30 +112,31 @@ impl ManyLights {
         }
     }
 
-    /// Weighs the lights, or clusters of them, for a path that goes on from a point in fog.
+    /// Computes the weights of the lights, or of clusters of them, for a path that continues from a point in fog.
     #[inline]
     pub fn weigh_directions(&self, from: &FromPoint, weights: &mut Choice) {
         self.flat.weigh(from, &mut weights.weights);
     }
 
-    /// Draws a direction that passes near lights. `None`: it is to be drawn by the phase function.
+    /// Samples a direction that passes near lights. `None`: sample the phase function instead.
     #[inline]
     pub fn sample_direction(&self, from: &FromPoint, weights: &Choice, choice: f64, u: [f32; 2]) -> Option<Vec3A> {
         from.sample(&self.nodes, &weights.weights, choice, u, self.flat.level())
     }
 
-    /// Density, 1/sr, of [`Self::sample_direction`] followed by the phase function, whose density is `phase`, where that says nothing.
+    /// Returns the density, 1/sr, of [`Self::sample_direction`] with the phase function as the fallback; `phase` is the density of
+    /// the phase function.
     #[inline]
     pub fn direction_pdf(&self, from: &FromPoint, weights: &Choice, dir: Vec3A, phase: f32) -> f32 {
         from.pdf(&self.flat, &weights.weights, dir, phase)
     }
 
-    /// The instruction set that weighs them.
+    /// Returns the instruction set that computes the weights.
     pub fn level(&self) -> Level {
         self.flat.level()
     }
 
-    /// What the tree knows of one light; `None` if it is never chosen.
+    /// Returns the tree's node of one light; `None` if it is never chosen.
     #[inline]
     pub fn node(&self, light: u32) -> Option<&Node> {
         self.tree.leaf(light)

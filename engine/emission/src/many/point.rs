@@ -1,4 +1,4 @@
-//! What lights are worth to a point: what they send there unhindered, times what is scattered on.
+//! Weights of lights for a point: the unoccluded light that arrives there, times the fraction that is scattered on.
 
 use super::approx::growth;
 use super::flat::{Seen, Weigh, dot, minus, splat};
@@ -7,7 +7,7 @@ use femc_math::glam::Vec3A;
 use femc_simd::{Simd, Vector};
 use std::f32::consts::FRAC_1_PI;
 
-/// Cosines below this count as this much: bounds are trusted up to rounding.
+/// Lower bound of cosines: bounds are exact only up to rounding.
 const SLACK: f32 = 1e-3;
 
 impl Weigh for AtPoint {
@@ -39,7 +39,7 @@ impl Weigh for AtPoint {
     }
 }
 
-/// Luminance that the lobes send on of light from `toward` (not unit), 1/sr, times the cosine.
+/// Computes the luminance that the lobes scatter from `toward` (not unit), 1/sr, times the cosine.
 /// - `cos`: of the light, > 0; `sin`: of the angle that its radius subtends.
 #[inline(always)]
 fn scattered<S: Simd>(
@@ -56,7 +56,7 @@ fn scattered<S: Simd>(
     if lobes.glossy <= 0.0 {
         return diffuse;
     }
-    // A microfacet lobe (\[walter2007\]) as wide as its roughness and half the light's angle together.
+    // A microfacet lobe (\[walter2007\]), widened by half the light's angle.
     let cos_o = lobes.toward.dot(normal).max(SLACK);
     let between = dot(splat(simd, lobes.toward), toward) * inverse;
     let half = c(cos_o) + cos;

@@ -1,18 +1,18 @@
-//! What lights are worth to a segment of a ray in fog: the light that is scattered once on it, unhindered (airlight).
+//! Weights of lights for a segment of a ray in fog: the unoccluded light that is scattered once on it (airlight).
 //!
-//! With h the distance of a light from the ray and theta the angle from the perpendicular, the light scattered on the segment
-//! is `I / h` times the integral over theta of transmittance, phase function and profile (\[kulla2012\]): a mean over some
-//! angles is close to it wherever the light is.
+//! With h the distance of a light from the ray and theta the angle from the perpendicular, the light scattered on the segment is
+//! `I / h` times the integral over theta of transmittance, phase function and profile (\[kulla2012\]). A mean over a few angles
+//! approximates the integral well for every position of the light.
 
 use super::approx::{arc_tangent, attenuation, growth, sine_cosine};
 use super::flat::{Seen, Weigh, dot, minus, plus, splat};
 use crate::tree::AlongSegment;
 use femc_simd::{Simd, Vector};
 
-/// A light is worth at least this share of what it might send if it sent its peak intensity everywhere.
+/// Minimum weight of a light, as a fraction of its weight if it sent its peak intensity everywhere.
 const FLOOR: f32 = 0.01;
 
-/// Farther than this, m, is as far as this.
+/// Maximum distance, m: larger distances are treated as this.
 const FARTHEST: f32 = 1e9;
 
 impl Weigh for AlongSegment {
@@ -24,7 +24,7 @@ impl Weigh for AlongSegment {
         let (dir, origin) = (splat(simd, self.dir), splat(simd, self.origin));
         let from = minus(origin, lights.center);
         let along = dot(from, dir);
-        // From the light to the nearest point of the line.
+        // Vector from the light to the nearest point of the line.
         let foot = plus(from, dir, zero - along);
         let h2 = dot(foot, foot).max(c(0.25) * lights.radius * lights.radius).max(c(1e-12));
         let h = h2.sqrt();
@@ -38,7 +38,7 @@ impl Weigh for AlongSegment {
         let (sin_step, cos_step) = (c(2.0) * sin * cos, one - c(2.0) * sin * sin);
         let (x, y) = (h * to_start, start * to_start);
         let (mut x, mut y) = (x * cos - y * sin, y * cos + x * sin);
-        // Directions from the light by angle: its cosine with the axis is linear in the angle's cosine and sine.
+        // For directions from the light by angle, the cosine with the axis is linear in the angle's cosine and sine.
         let across = dot(foot, lights.axis) * inverse_h;
         let ahead = dot(dir, lights.axis);
         let (eye, rest) = (c(self.extinction), lights.haze);

@@ -18,7 +18,7 @@ fn emission(sides: Sides, profile: Profile, emittance: f32) -> Emission {
     Emission { emittance: Rgb::splat(emittance), profile, sides }
 }
 
-/// Panels of all kinds in a hall of 40 m, some of them bundled, and a few balls.
+/// Makes panels of all kinds in a hall of 40 m, some of them in groups, and a few balls.
 fn hall(count: u64) -> Vec<Light> {
     let one = |i: u64| {
         let place = if i.is_multiple_of(3) { vector(1, i / 9, 20.0) + vector(2, i, 0.4) } else { vector(1, i, 20.0) };
@@ -48,7 +48,7 @@ fn in_haze(lights: &[Light], haze: f32) -> ManyLights {
     ManyLights::new(&lights.iter().map(|light| bounds(light, haze)).collect::<Vec<_>>())
 }
 
-/// What is asked of lights at one place.
+/// A choice among lights at one place.
 struct Asked<'a, P> {
     lights: &'a ManyLights,
     place: &'a P,
@@ -99,8 +99,8 @@ fn segments(count: u64) -> impl Iterator<Item = AlongSegment> {
     })
 }
 
-/// The lights that evenly spaced numbers choose have the probabilities that are told. The probabilities sum to 1, less the share of the
-/// numbers that choose no light: in a tree, a number may lead to a cluster whose lights all face away.
+/// Checks that evenly spaced numbers choose lights with the reported probabilities. The probabilities sum to 1, minus the share of
+/// the numbers that choose no light: in a tree, a number may lead to a cluster whose lights all face away. Returns this share.
 fn agrees(lights: &ManyLights, count: usize, place: &impl Wanting) -> f64 {
     let asked = Asked::new(lights, place);
     let probabilities: Vec<f64> = (0..count as u32).map(|light| f64::from(asked.probability(light))).collect();
@@ -184,13 +184,13 @@ fn what_faces_away_and_what_is_behind_is_not_chosen() {
     assert!(beside > 0.9, "{beside}");
     let over = segment(Vec3A::new(28.0, -9.0, 4.0), Vec3A::Y, (0.0, 20.0));
     assert!(Asked::new(&many, &over).choose(0.3).is_none());
-    // What is looked at closely is above the lamps; farther on the ray comes below them.
+    // The evaluated range is above the lamps; farther on, the ray passes below them.
     let down =
         AlongSegment { end: 200.0, ..segment(Vec3A::new(28.0, -9.0, 4.0), Vec3A::new(0.0, 0.6, -0.8), (0.0, 1.0)) };
     assert!(Asked::new(&many, &down).probability(1) > 0.0);
 }
 
-/// Lamps along two crossing roads, 8 m high, facing down.
+/// Makes lamps along two crossing roads, 8 m high, facing down.
 fn street() -> Vec<Light> {
     let lamp = |x: f32, y: f32| {
         let (place, panel) = (Vec3A::new(x, y, 8.0), emission(Sides::One, Profile::Lambertian, 1e4));
@@ -216,7 +216,7 @@ fn under_street_lamps_the_choice_is_nearly_in_proportion_to_what_they_send() {
             sent += part;
             squares += part * part / f64::from(asked.probability(index as u32));
         }
-        // Relative second moment of one choice: 1 of the best one.
+        // Relative second moment of one choice; the optimum is 1.
         assert!(squares / (sent * sent) < 1.25, "{place:?}: {}", squares / (sent * sent));
     }
 }
@@ -264,7 +264,7 @@ fn joined_cones_hold_both() {
     }
 }
 
-/// Directions from places among 1, 40 and 300 lights.
+/// Makes points in fog among 1, 40 and 300 lights.
 fn from_points() -> impl Iterator<Item = (ManyLights, FromPoint)> {
     [1, 40, 300].into_iter().enumerate().map(|(k, count)| {
         let toward = vector(50, k as u64, 1.0).normalize();
@@ -273,8 +273,8 @@ fn from_points() -> impl Iterator<Item = (ManyLights, FromPoint)> {
     })
 }
 
-/// Of directions that are drawn, one over the density is on average the solid angle of any part of the sphere: here of 8 x 16 cells. The density
-/// has poles, so that it is the inverse that is summed.
+/// Checks that the mean of one over the density equals the solid angle of any part of the sphere, here of 8 x 16 cells. The density
+/// has poles, so its inverse is summed.
 #[test]
 fn directions_follow_their_density() {
     let (rows, columns, n) = (8u32, 16u32, 40_000u64);

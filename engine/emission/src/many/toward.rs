@@ -1,8 +1,8 @@
-//! Directions toward lights in fog: what was scattered is best scattered on where it will pass near one.
+//! Directions toward lights in fog: a scattered path should continue in a direction that passes near a light.
 //!
-//! Of light that a point source sends into fog, what a ray at an angle theta from it meets is proportional to `(pi - theta) / sin(theta)`
-//! where nothing is lost: the integral of 1 / distance^2 along the ray. That over solid angle, `(pi - theta) / (pi^3 sin(theta))`, is
-//! a density, and its angle is drawn in closed form.
+//! A point source illuminates fog. Without losses, a ray at an angle theta from the source collects light in proportion to
+//! `(pi - theta) / sin(theta)`, the integral of 1 / distance^2 along the ray. Normalized over solid angle,
+//! `(pi - theta) / (pi^3 sin(theta))` is a density whose angle can be sampled in closed form.
 
 use super::approx::{arc_sine, attenuation};
 use super::flat::{Flat, Mixture, Seen, Weigh, Weights, dot, minus, plus, splat};
@@ -13,21 +13,22 @@ use femc_math::glam::Vec3A;
 use femc_simd::{Level, Simd, Task, Vector};
 use std::f32::consts::{PI, TAU};
 
-/// A point in fog from which a path goes on.
+/// A point in fog from which a path continues.
 #[derive(Clone, Copy, Debug)]
 pub struct FromPoint {
-    /// m.
+    /// Position, m.
     pub position: Vec3A,
-    /// Direction that the light is scattered to, unit: back along the path.
+    /// Direction in which the light leaves after scattering, unit: back along the path.
     pub toward: Vec3A,
-    /// Extinction there, 1/m.
+    /// Extinction at the point, 1/m.
     pub extinction: f32,
     /// Schlick's parameter of the phase function.
     pub phase: f32,
 }
 
 impl Weigh for FromPoint {
-    /// Intensity over distance, dimmed, times the phase function toward the middle, widened: the ray passes at some angle.
+    /// Computes the attenuated intensity over distance, times a widened phase function toward the middle: the ray passes at some
+    /// angle.
     #[inline(always)]
     fn weigh<S: Simd>(&self, simd: S, lights: &Seen<S>) -> S::V {
         let c = |x| simd.splat(x);
@@ -50,7 +51,8 @@ impl Weigh for FromPoint {
     }
 }
 
-/// Density of a direction about the direction to a light's middle, as far as that is trusted, and by the phase function as far as not.
+/// Mixture density of a direction: a density about the direction to a light's middle, weighted by its trust, and the phase function
+/// for the rest.
 struct About<'a> {
     from: &'a FromPoint,
     dir: Vec3A,
@@ -72,7 +74,7 @@ impl Mixture for About<'_> {
         let other = plus(dir, axis, c(1.0));
         let sin = c(0.5) * dot(chord, chord).sqrt();
         let cos = c(0.5) * dot(other, other).sqrt();
-        // Half of pi - theta is the arc sine of cos; of theta that of sin: the smaller one is exact.
+        // Half of pi - theta is the arc sine of cos, and half of theta is the arc sine of sin. The smaller one is exact.
         let is_near = sin.lt(cos);
         let arc = arc_sine(simd, is_near.select(sin, cos).min(c(1.0)));
         let left = is_near.select(c(PI) - c(2.0) * arc, c(2.0) * arc);
@@ -81,15 +83,16 @@ impl Mixture for About<'_> {
     }
 }
 
-/// How far the direction to a light's middle says where light is: not where the light is large as seen from there, or behind much fog.
-/// - `size`: its radius over the distance; `depth`: optical, of the way there.
+/// Computes the weight of the direction to a light's middle. It is small if the light is large as seen from the point, or behind
+/// thick fog.
+/// - `size`: its radius over the distance; `depth`: optical depth on the way to it.
 #[inline(always)]
 fn trust<S: Simd>(simd: S, size: S::V, depth: S::V) -> S::V {
     let c = |x| simd.splat(x);
     (c(1.0) - c(2.0) * size).max(c(0.0)) / (c(1.0) + c(0.06) * depth * depth)
 }
 
-/// One light's trust.
+/// Task that computes the trust of one light.
 struct Trust {
     size: f32,
     depth: f32,
@@ -105,8 +108,8 @@ impl Task for Trust {
 }
 
 impl FromPoint {
-    /// Draws a direction by `choice` and `u`, all in [0, 1), among those that pass near lights of `weights`; `None`: it is to be drawn by the phase
-    /// function.
+    /// Samples a direction with `choice` and `u`, all in [0, 1), among those that pass near lights of `weights`; `None`: sample the
+    /// phase function instead.
     #[inline]
     pub fn sample(&self, lights: &[Node], weights: &Weights, choice: f64, u: [f32; 2], level: Level) -> Option<Vec3A> {
         let (light, _, rest) = weights.choose(choice)?;
@@ -126,7 +129,7 @@ impl FromPoint {
         Some(Frame::from_normal(axis).to_world(local).normalize())
     }
 
-    /// Density, 1/sr, of [`Self::sample`] followed by the phase function where that says nothing.
+    /// Returns the density, 1/sr, of [`Self::sample`] with the phase function as the fallback.
     /// - `phase`: density of the phase function.
     #[inline]
     pub fn pdf(&self, lights: &Flat, weights: &Weights, dir: Vec3A, phase: f32) -> f32 {

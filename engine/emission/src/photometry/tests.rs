@@ -119,7 +119,7 @@ fn flux_has_the_closed_forms() {
     // The band |elevation| < 30 degrees: 4 pi sin 30.
     let (vertical, horizontal) = (steps(-30.0, 30.0, 6), steps(-180.0, 180.0, 36));
     near(table(PhotometryKind::A, &vertical, &horizontal, |_, _| 1.0).flux(), 2.0 * PI);
-    // Planes turned by +-90 degrees about the horizontal axis: a hemisphere; half of it in h, mirrored.
+    // Planes turned by +-90 degrees about the horizontal axis make a hemisphere; here half of it in h, mirrored.
     near(table(PhotometryKind::B, &steps(-90.0, 90.0, 18), &steps(-90.0, 90.0, 18), |_, _| 1.0).flux(), 2.0 * PI);
     near(table(PhotometryKind::B, &steps(-90.0, 90.0, 18), &steps(0.0, 90.0, 9), |_, _| 1.0).flux(), 2.0 * PI);
     // The same Lambertian lamp about nadir in type B angles: cos of the angle to nadir is cos v cos h.

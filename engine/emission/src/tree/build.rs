@@ -1,4 +1,4 @@
-//! Lights on their way into the tree.
+//! Construction of the light tree.
 
 use super::LightBounds;
 use super::place::{Node, sine};
@@ -6,10 +6,10 @@ use crate::light::EmissionCone;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
 
-/// Places where a node may be cut, along each axis.
+/// Number of buckets along each axis; nodes are split between buckets.
 const BUCKETS: usize = 12;
 
-/// Lights on their way into the tree.
+/// A light or a cluster of lights during construction.
 #[derive(Clone, Copy)]
 pub(super) struct Cluster {
     pub(super) low: Vec3A,
@@ -25,7 +25,7 @@ pub(super) struct Cluster {
 impl Cluster {
     pub(super) fn of(light: &LightBounds, index: u32) -> Self {
         let cone = light.cone;
-        // Integral of the profile over the directions that it emits to.
+        // Integral of the profile over the directions of emission.
         let solid_angle = if cone.is_everywhere() {
             4.0 * PI
         } else {
@@ -51,7 +51,7 @@ impl Cluster {
     }
 
     pub(super) fn node(&self, children: u32, light: u32) -> Node {
-        // Of one light the middle need not be that of its box.
+        // For a single light, the middle need not be the middle of its box.
         let radius2 = (self.high - self.center).max(self.center - self.low).length_squared();
         Node {
             center: self.center,
@@ -70,7 +70,7 @@ impl Cluster {
         }
     }
 
-    /// What the cluster costs in a tree: power, extent and spread of directions (\[conty2018\], equation 1).
+    /// Computes the cost of the cluster in a tree: power, extent and spread of directions (\[conty2018\], equation 1).
     fn cost(&self, regularity: f32) -> f32 {
         let size = self.high - self.low;
         let area = size.x * size.y + size.y * size.z + size.z * size.x + 1e-6 * size.length_squared();
@@ -78,7 +78,7 @@ impl Cluster {
     }
 }
 
-/// Sorts `leaves` into two parts, neither empty, of the least cost; returns the number in the first.
+/// Partitions `leaves` into two parts, neither empty, of the least cost; returns the number in the first.
 pub(super) fn cut(whole: &Cluster, leaves: &mut [Cluster]) -> usize {
     let middle = |c: &Cluster| (c.low + c.high) * 0.5;
     let low = leaves.iter().map(middle).fold(Vec3A::INFINITY, Vec3A::min);
@@ -96,7 +96,7 @@ pub(super) fn cut(whole: &Cluster, leaves: &mut [Cluster]) -> usize {
             *slot = Some(slot.map_or(*leaf, |all| all.join(leaf)));
         }
         let union = |part: &[Option<Cluster>]| part.iter().flatten().copied().reduce(|all, one| all.join(&one));
-        // Thin slabs across the longest axis are worse than their area tells.
+        // Thin slabs across the longest axis are worse than their area suggests.
         let regularity = extent.max_element() / extent[axis].max(f32::MIN_POSITIVE);
         for at in 1..BUCKETS {
             let (Some(left), Some(right)) = (union(&buckets[..at]), union(&buckets[at..])) else { continue };
@@ -107,7 +107,7 @@ pub(super) fn cut(whole: &Cluster, leaves: &mut [Cluster]) -> usize {
         }
     }
     let Some((_, axis, at)) = best else { return leaves.len() / 2 };
-    // A stable partition, so that the tree does not depend on how it is done.
+    // The stable partition keeps the tree independent of the algorithm.
     leaves.sort_by_key(|leaf| bucket(leaf, axis) >= at);
     leaves.partition_point(|leaf| bucket(leaf, axis) < at)
 }

@@ -1,60 +1,60 @@
-//! The places that want light, and what a node of the tree is worth to them.
+//! Places that receive light, and the importance of a tree node for them.
 
 use super::LEAF;
 use femc_math::glam::Vec3A;
 use std::f32::consts::{FRAC_PI_2, PI};
 
-/// Cosines of bounds are trusted up to this much: rounding shall not lose a light.
+/// Tolerance of cosines of bounds, so that rounding does not lose a light.
 const SLACK: f32 = 1e-3;
 
-/// A place that wants light.
+/// A place that receives light.
 pub trait Place {
-    /// Importance of a node, >= 0; 0 only where its lights can send nothing.
+    /// Returns the importance of a node, >= 0; 0 only if its lights can send nothing.
     fn importance(&self, node: &Node) -> f32;
-    /// Squared distance of the place to the middle of a node's lights, m2.
+    /// Returns the squared distance of the place to the middle of a node's lights, m2.
     fn distance2(&self, node: &Node) -> f32;
 }
 
 /// A point on a surface or in a medium.
 #[derive(Clone, Copy, Debug)]
 pub struct AtPoint {
-    /// m.
+    /// Position, m.
     pub position: Vec3A,
-    /// Unit normal of the side that light is scattered from; zero where light counts from all sides.
+    /// Unit normal of the side that scatters light; zero if light counts from all sides.
     pub normal: Vec3A,
-    /// How the surface scatters toward the viewer; `None`: no more is known than the normal.
+    /// Scattering of the surface toward the viewer; `None`: only the normal is known.
     pub lobes: Option<Lobes>,
 }
 
-/// How a surface scatters light toward a viewer, roughly: two lobes.
+/// Approximate scattering of a surface toward a viewer, as two lobes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lobes {
     /// Luminance of the diffuse reflectance.
     pub diffuse: f32,
     /// Luminance of the glossy lobe's reflectance.
     pub glossy: f32,
-    /// Its GGX roughness.
+    /// GGX roughness of the glossy lobe.
     pub alpha: f32,
-    /// Unit, toward the viewer, in the frame of the point.
+    /// Direction toward the viewer, unit, in the frame of the point.
     pub toward: Vec3A,
 }
 
-/// A segment of a ray in fog: light is wanted along all of it.
+/// A segment of a ray in fog, which receives light along all of it.
 #[derive(Clone, Copy, Debug)]
 pub struct AlongSegment {
     /// Start of the ray, m.
     pub origin: Vec3A,
     /// Unit direction.
     pub dir: Vec3A,
-    /// First and last distance on the ray of what is looked at closely, m; finite.
+    /// First and last distance on the ray of the evaluated range, m; finite.
     pub range: (f32, f32),
     /// Last distance at which light counts, m; may be infinite.
     pub end: f32,
-    /// Angles at which a light's airlight is looked at, at least 1.
+    /// Number of angles at which a light's airlight is evaluated, at least 1.
     pub angles: u32,
-    /// Extinction on it, 1/m.
+    /// Extinction on the segment, 1/m.
     pub extinction: f32,
-    /// Schlick's parameter of the phase function there (\[blasi1993\]).
+    /// Schlick's parameter of the phase function on the segment (\[blasi1993\]).
     pub phase: f32,
 }
 
@@ -65,13 +65,13 @@ pub struct Node {
     pub(crate) axis: Vec3A,
     /// Radius of the sphere around the lights, m.
     pub(crate) radius: f32,
-    /// Its square.
+    /// Square of the radius, m2.
     pub(super) radius2: f32,
-    /// Candela at the peak of the profile, summed.
+    /// Intensity at the peak of the profile, cd, summed over the lights.
     pub(crate) intensity: f32,
     pub(crate) cos_normals: f32,
     pub(crate) sin_normals: f32,
-    /// Power of the cosine that the intensity follows.
+    /// Exponent of the intensity as a power of the cosine.
     pub(crate) exponent: f32,
     pub(crate) two_sided: bool,
     /// Extinction of the media around the lights, 1/m.
@@ -79,11 +79,11 @@ pub struct Node {
     /// Index of the first child, the second follows; [`LEAF`] in leaves.
     pub(super) children: u32,
     pub(super) light: u32,
-    /// Ranks of its lights: the first, and how many.
+    /// Ranks of its lights: the first rank and the number of lights.
     pub(super) ranks: (u32, u32),
 }
 
-/// Cosine and sine of `a - b`, or of 0 where a < b; both in 0..pi.
+/// Computes cosine and sine of `a - b`, or of 0 if a < b; both angles are in 0..pi.
 #[inline]
 pub(super) fn angle_less((cos_a, sin_a): (f32, f32), (cos_b, sin_b): (f32, f32)) -> (f32, f32) {
     if cos_a >= cos_b { (1.0, 0.0) } else { (cos_a * cos_b + sin_a * sin_b, sin_a * cos_b - cos_a * sin_b) }
@@ -95,35 +95,35 @@ pub(super) fn sine(cos: f32) -> f32 {
 }
 
 impl Node {
-    /// Radius of the sphere around its lights, m.
+    /// Returns the radius of the sphere around its lights, m.
     pub fn radius(&self) -> f32 {
         self.radius
     }
 
-    /// Extinction of the media around its lights, 1/m.
+    /// Returns the extinction of the media around its lights, 1/m.
     pub fn haze(&self) -> f32 {
         self.haze
     }
 
-    /// Index of its light, if it holds one alone.
+    /// Returns the index of its light, if the node holds a single one.
     pub fn light(&self) -> u32 {
         self.light
     }
 
-    /// Whether a light of this rank is in the node.
+    /// Checks whether a light of this rank is in the node.
     #[inline]
     pub(super) fn has(&self, rank: u32) -> bool {
         rank.wrapping_sub(self.ranks.0) < self.ranks.1
     }
 
-    /// Whether the intensity is the same in every direction.
+    /// Checks whether the intensity is the same in every direction.
     #[inline]
     pub(crate) fn is_everywhere(&self) -> bool {
         self.cos_normals <= -1.0
     }
 
-    /// Squared distance to the lights' middle, at least their radius; the direction from `point` to it; and the cosine and
-    /// sine of the angle by which the lights' own directions may differ from it.
+    /// Returns three values as seen from `point`: the squared distance to the lights' middle, at least the square of their radius;
+    /// the direction to it; and the cosine and sine of the angle by which the directions to individual lights may differ from it.
     #[inline]
     fn seen_from(&self, point: Vec3A) -> (f32, Vec3A, (f32, f32)) {
         let toward = self.center - point;
@@ -136,7 +136,7 @@ impl Node {
         (distance2, toward * inverse, ((1.0 - sin * sin).max(0.0).sqrt(), sin))
     }
 
-    /// Bound on the intensity, cd, in direction `dir` (unit, from the lights to the place), whose error is `spread`.
+    /// Returns a bound on the intensity, cd, in direction `dir` (unit, from the lights to the place), whose error is `spread`.
     #[inline]
     fn intensity_toward(&self, dir: Vec3A, spread: (f32, f32)) -> f32 {
         if self.is_everywhere() || spread.0 <= -1.0 {
@@ -152,13 +152,13 @@ impl Node {
         self.intensity * self.profile(cos.max(SLACK))
     }
 
-    /// The cosine's power, by a quotient that falls off more slowly (\[schlick1994\]).
+    /// Approximates the power of the cosine by a quotient that falls off more slowly (\[schlick1994\]).
     #[inline]
     fn profile(&self, cos: f32) -> f32 {
         cos / (self.exponent - self.exponent * cos + cos)
     }
 
-    /// Estimate of the intensity, cd, toward a place that sees the lights' middle along `toward` (m, not unit).
+    /// Estimates the intensity, cd, toward a place from which the lights' middle lies along `toward` (m, not unit).
     #[inline]
     fn intensity_about(&self, toward: Vec3A) -> f32 {
         if self.is_everywhere() {
@@ -172,7 +172,7 @@ impl Node {
     }
 }
 
-/// An upper bound of exp(-x), x >= 0, without the price of an exponential.
+/// Returns an upper bound of exp(-x), x >= 0, without the cost of an exponential.
 #[inline]
 fn attenuation(x: f32) -> f32 {
     1.0 / (1.0 + x * (1.0 + x * (0.5 + x * (1.0 / 6.0))))
@@ -214,8 +214,8 @@ impl Place for AlongSegment {
         (toward - self.dir * toward.dot(self.dir).clamp(self.range.0, self.range.1)).length_squared()
     }
 
-    /// The integral of 1 / distance^2 along the segment, times an estimate of the intensity toward its nearest point, or toward
-    /// its ends where that one is behind the lights.
+    /// Computes the integral of 1 / distance^2 along the segment, times an estimate of the intensity toward its nearest point, or
+    /// toward its ends if the nearest point is behind the lights.
     #[inline]
     fn importance(&self, node: &Node) -> f32 {
         let (t0, t1) = self.range;
@@ -235,7 +235,7 @@ impl Place for AlongSegment {
     }
 }
 
-/// The angle whose tangent is `y / x`, 0..pi, to 1 %; y >= 0.
+/// Returns the angle whose tangent is `y / x`, 0..pi, to 1 %; y >= 0.
 #[inline]
 fn subtended(y: f32, x: f32) -> f32 {
     let small = |t: f32| t / (1.0 + 0.28 * t * t);

@@ -1,4 +1,4 @@
-//! Reading channels by name, besides the colors: what the renderer knows of each pixel, layers of light.
+//! Reading of channels by name: besides the colors, features of each pixel and layers of light.
 
 use super::read::{check, failed};
 use crate::{FilmError, Image};
@@ -12,22 +12,22 @@ use std::path::Path;
 /// All channels of a file, by name, as floats, row by row.
 #[derive(Clone, Debug)]
 pub struct Channels {
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
     named: BTreeMap<String, Vec<f32>>,
 }
 
 impl Channels {
     /// Reads the file at `path`.
-    /// - errors: it is no flat EXR file.
+    /// - errors: the file is not a flat EXR file.
     pub fn read(path: &Path) -> Result<Self, FilmError> {
         let file = File::open(path).map_err(|cause| FilmError::File { path: path.into(), cause })?;
         Self::decode(BufReader::new(file)).map_err(|e| e.in_file(path))
     }
 
-    /// The same from a seekable source.
+    /// Decodes the channels from a seekable source.
     pub fn decode(mut file: impl Read + Seek) -> Result<Self, FilmError> {
         let broken = |e: std::io::Error| FilmError::Format { what: "reading EXR", cause: e.to_string() };
         let length = file.seek(SeekFrom::End(0)).map_err(broken)?;
@@ -49,19 +49,20 @@ impl Channels {
         Ok(Self { width, height, named })
     }
 
-    /// The channel of this name.
+    /// Returns the channel with this name.
     pub fn get(&self, name: &str) -> Option<&[f32]> {
         self.named.get(name).map(Vec::as_slice)
     }
 
-    /// Names of the layers that are colors, without their variances: those with channels `NAME.R`, `NAME.G` and `NAME.B`, by the alphabet.
+    /// Returns the names of the color layers without their variances, in alphabetical order: those with channels `NAME.R`, `NAME.G`
+    /// and `NAME.B`.
     pub fn colors(&self) -> Vec<&str> {
         let names = self.named.keys().filter_map(|name| name.strip_suffix(".R"));
         let is_variance = |name: &str| name == "variance" || name.ends_with(".variance");
         names.filter(|name| !is_variance(name) && self.of_layer(name).is_some()).collect()
     }
 
-    /// The colors of a layer by its name; an empty name stands for the picture itself. `None`: the file has no such layer.
+    /// Returns the colors of a layer by its name; an empty name stands for the picture itself. `None`: the file has no such layer.
     pub fn color(&self, layer: &str) -> Option<Image> {
         let [r, g, b] = self.of_layer(layer)?;
         let pixels = r.iter().zip(g).zip(b).map(|((r, g), b)| [*r, *g, *b]).collect();
@@ -79,12 +80,12 @@ impl Channels {
 
 /// Reads the channels `names` of the file at `path`, as floats, row by row.
 /// - returns: width, height, and the channels in the order of `names`;
-/// - errors: the file has no such channel, or is no flat EXR file.
+/// - errors: the file has no such channel, or is not a flat EXR file.
 pub fn read_channels<const N: usize>(path: &Path, names: [&str; N]) -> Result<(u32, u32, [Vec<f32>; N]), FilmError> {
     Channels::read(path).and_then(|channels| named(channels, names).map_err(|e| e.in_file(path)))
 }
 
-/// The same from a seekable source.
+/// Decodes the channels `names` from a seekable source.
 pub fn decode_channels<const N: usize>(
     file: impl Read + Seek,
     names: [&str; N],

@@ -1,4 +1,4 @@
-//! OpenEXR files: what the renderer writes, and the colors of any file that the `exr` crate reads.
+//! OpenEXR files: writes the renderer's files, and reads the colors of any file that the `exr` crate supports.
 
 mod layers;
 mod named;
@@ -13,7 +13,7 @@ pub use write::{Provenance, UNLIT, encode, encode_layers, errors, write};
 /// Prefix of the string attributes that the renderer writes.
 pub const ATTRIBUTE_PREFIX: &str = "femc:";
 
-/// By how many threads a file is packed or unpacked; its bytes are the same.
+/// Number of threads that pack or unpack a file; the bytes of the file do not depend on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Threads {
     One,
@@ -21,12 +21,12 @@ enum Threads {
 }
 
 impl Threads {
-    /// Pixels from which on threads are worth it.
+    /// Number of pixels from which several threads pay off.
     const WORTH: usize = 1 << 18;
 
-    /// Threads for a file of so many pixels. For each file that it compresses with many threads, the `exr` crate starts a pool of all
-    /// the machine's threads. Small files, callers whose pool has one thread, and callers without a pool get one thread. (Outside of a
-    /// pool, asking rayon for its number of threads would start the global pool.)
+    /// Returns the threads for a file of `pixels` pixels. For each file that it compresses with many threads, the `exr` crate
+    /// starts a pool of all the machine's threads. Small files, callers whose pool has one thread, and callers without a pool get
+    /// one thread. (Outside of a pool, asking rayon for its number of threads would start the global pool.)
     fn of(pixels: usize) -> Self {
         let has_pool = rayon::current_thread_index().is_some();
         if pixels >= Self::WORTH && has_pool && rayon::current_num_threads() > 1 { Self::Many } else { Self::One }

@@ -1,34 +1,34 @@
-//! Writing channels by name, such as layers that are kept for a purpose, in as few bytes as it allows.
+//! Writing of channels by name, such as layers for later use, with a precision for each channel.
 
 use super::write::{encode_channels, failed, floats};
 use crate::FilmError;
 use exr::prelude::{AnyChannel, FlatSamples, f16};
 use std::collections::BTreeMap;
 
-/// How the values of a channel are stored.
+/// Storage format of a channel's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
-    /// 16 bits: 11 digits of two, up to 65504.
+    /// 16 bits: 11 binary digits, up to 65504.
     Half,
-    /// 32 bits, as they are.
+    /// 32 bits, unchanged.
     Float,
 }
 
 /// A channel and its values.
 #[derive(Clone, Copy, Debug)]
 pub struct NamedChannel<'a> {
-    /// Such as `full.R`.
+    /// Name, such as `full.R`.
     pub name: &'a str,
-    /// One a pixel, row by row from the top left.
+    /// Values, one per pixel, row by row from the top left.
     pub values: &'a [f32],
-    /// How they are stored.
+    /// Storage format.
     pub precision: Precision,
 }
 
-/// A file of the form that [`super::encode`] writes, with these channels.
+/// Encodes a file of the form that [`super::encode`] writes, with these channels.
 /// - `size`: width and height;
 /// - `attributes`: text attributes by name;
-/// - errors: a channel has not as many values as there are pixels, or one that its precision cannot hold.
+/// - errors: the number of values of a channel is not the number of pixels, or its precision cannot hold a value.
 pub fn encode_named(
     size: [u32; 2],
     channels: &[NamedChannel<'_>],

@@ -1,5 +1,5 @@
-//! Reading: the colors of any flat EXR file, half or float, scan lines or tiles, of every compression that the `exr` crate
-//! decodes. Sizes are checked in the header before anything of that size is allocated.
+//! Reading of the colors of any flat EXR file: half or float, scan lines or tiles, and every compression that the `exr` crate
+//! decodes. Sizes are checked in the header before memory of that size is allocated.
 
 use super::Threads;
 use crate::rect::MAX_FILM_PIXELS;
@@ -115,7 +115,7 @@ fn text_attributes(meta: &MetaData) -> BTreeMap<String, String> {
     .collect()
 }
 
-/// UTF-8 where it is, Latin-1 as older files have it elsewhere.
+/// Decodes UTF-8 text, or Latin-1 as in older files if it is not valid UTF-8.
 fn utf8(text: &Text) -> String {
     std::str::from_utf8(text.as_slice()).map_or_else(|_| text.to_string(), str::to_owned)
 }

@@ -1,7 +1,7 @@
-//! Writing: one part, scan lines, ZIP, 32-bit floats, channels and attributes in alphabetical order.
+//! Writing of EXR files: one part, scan lines, ZIP, 32-bit floats, channels and attributes in alphabetical order.
 //!
-//! The bytes are a function of the image and its provenance: the `exr` crate keeps custom attributes in a hash map, so the
-//! header is put in order afterwards (attributes have no order in the format, and their total size does not change).
+//! The bytes are a function of the image and its provenance. The `exr` crate keeps custom attributes in a hash map, so the header
+//! is sorted afterwards (attributes have no order in the format, and their total size does not change).
 
 use crate::exr::{ATTRIBUTE_PREFIX, Threads};
 use crate::file::write_atomic;
@@ -15,7 +15,7 @@ use exr::{compression::Compression, image::Blocks};
 use std::io::Cursor;
 use std::path::Path;
 
-/// Where an image came from; written as string attributes `femc:...`.
+/// Origin of an image, written as string attributes `femc:...`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Provenance {
     /// Version of the renderer.
@@ -24,9 +24,9 @@ pub struct Provenance {
     pub engine: String,
     /// Render settings, JSON.
     pub settings: String,
-    /// Of a method whose pixels are not right on average however many samples they are made of: which, and why.
+    /// Name of and reason for a biased method, whose pixels are wrong in the mean for any number of samples.
     pub bias: Option<String>,
-    /// Of a frame that had a time: how its samples were divided, JSON. Rendered again by that it has the same pixels.
+    /// Division of the samples of a frame with a time limit, JSON. A render with this division gives the same pixels.
     pub allocation: Option<String>,
     /// Digest of the scene.
     pub scene: String,
@@ -34,11 +34,11 @@ pub struct Provenance {
     pub frame: u32,
     /// Computing time, seconds.
     pub seconds: f64,
-    /// Mean samples a pixel.
+    /// Mean samples per pixel.
     pub spp: f64,
-    /// The error that was reached, block by block: written as the layer `relative_error.Y` and in numbers.
+    /// Reached error, block by block; written as the layer `relative_error.Y` and in numbers.
     pub error: FrameError,
-    /// Samples left out of the image; as `nan=2 infinite=0 negative=0 out-of-range=0 first=x,y,sample`.
+    /// Samples left out of the image; written as `nan=2 infinite=0 negative=0 out-of-range=0 first=x,y,sample`.
     pub bad: BadSamples,
 }
 
@@ -65,7 +65,7 @@ impl Provenance {
     }
 }
 
-/// The text of `femc:bad_samples`.
+/// Formats the text of `femc:bad_samples`.
 fn account(bad: &BadSamples) -> String {
     let [nan, infinite, negative, large] = bad.counts;
     let counts = format!("nan={nan} infinite={infinite} negative={negative} out-of-range={large}");
@@ -75,19 +75,19 @@ fn account(bad: &BadSamples) -> String {
     }
 }
 
-/// Most bytes of a name in a file without long names, and in one with them.
+/// Maximum length in bytes of a name in a file without long names; the next constant is the maximum with them.
 const MOST_OF_SHORT_NAME: usize = 31;
 const MOST_OF_NAME: usize = 255;
-/// Byte of the file with the first flags behind the version, and among them the bit of long names (bit 10 of the word).
+/// Index of the byte with the first flags after the version; the next constant is the bit of long names in it (bit 10 of the word).
 const FLAGS: usize = 5;
 const LONG_NAMES: u8 = 1 << 2;
 
-/// Value of `relative_error.Y` in a block that has met no light.
+/// Value of `relative_error.Y` in a block that received no light.
 pub const UNLIT: f32 = -1.0;
 
-/// Encodes `R G B` (32-bit float, linear Rec.709, cd/m2) and the layers `albedo.R G B`, `depth.Z` (metres), `variance.R G B` and
-/// `variance.Y` (of the luminance), `samples.Y` (32-bit integer), and `relative_error.Y`: of each block of 16 x 16 pixels the error
-/// that `provenance` names, [`UNLIT`] where it names none.
+/// Encodes `R G B` (32-bit float, linear Rec.709, cd/m2) and the layers `albedo.R G B`, `depth.Z` (meters), `variance.R G B` and
+/// `variance.Y` (of the luminance), `samples.Y` (32-bit integer), and `relative_error.Y`. The latter is the error of each block of
+/// 16 x 16 pixels in `provenance`, or [`UNLIT`] if there is none.
 pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, FilmError> {
     let mut channels = color("", &image.color.pixels);
     channels.extend(color("albedo.", &image.albedo));
@@ -99,10 +99,9 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
     encode_channels([image.color.width, image.color.height], channels, provenance.attributes())
 }
 
-/// Encodes the colors of `image`, `samples.Y`, and of each layer its color and the variance of that: `NAME.R G B` and
-/// `NAME.variance.R G B`; and other channels by name, such as features. What the attributes tell is the same however long it took: the
-/// same bytes for the same layers.
-/// - `texts`: attributes more, by name.
+/// Encodes the colors of `image`, `samples.Y`, the color `NAME.R G B` of each layer and its variance `NAME.variance.R G B`, and
+/// other channels by name, such as features. The attributes leave out the computing time, so equal layers give equal bytes.
+/// - `texts`: additional attributes, by name.
 pub fn encode_layers(
     image: &FrameImage,
     layers: &[LayerImage],
@@ -143,7 +142,7 @@ pub(super) fn encode_channels(
     let has_long_names = names.iter().any(|name| name.as_slice().len() > MOST_OF_SHORT_NAME);
     let mut attributes = LayerAttributes { white_luminance: Some(1.0), ..LayerAttributes::default() };
     for (name, value) in texts {
-        // UTF-8, as OpenEXR has it; the crate's own conversion would refuse what is not Latin-1.
+        // UTF-8 as in OpenEXR; the crate's own conversion would refuse text outside of Latin-1.
         let value = Text::from_slice_unchecked(value.as_bytes());
         attributes.other.insert(Text::from(name.as_str()), AttributeValue::Text(value));
     }
@@ -166,7 +165,7 @@ pub(super) fn encode_channels(
     };
     written.map_err(|e| failed(e.to_string()))?;
     let mut bytes = bytes.into_inner();
-    // The `exr` crate looks at the names of attributes alone, and other programs read names of channels by this flag.
+    // The `exr` crate sets this flag from the attribute names alone, but other programs need it to read long channel names.
     if let (true, Some(flags)) = (has_long_names, bytes.get_mut(FLAGS)) {
         *flags |= LONG_NAMES;
     }
@@ -174,13 +173,12 @@ pub(super) fn encode_channels(
     Ok(bytes)
 }
 
-/// Writes [`encode`]d bytes to `path`, whole or not at all.
+/// Writes [`encode`]d bytes to `path` atomically.
 pub fn write(path: &Path, image: &FrameImage, provenance: &Provenance) -> Result<(), FilmError> {
     write_atomic(path, &encode(image, provenance).map_err(|e| e.in_file(path))?)
 }
 
-/// The error of each pixel's block.
-/// The relative error of each pixel's block, row by row; [`UNLIT`] where `error` names none.
+/// Returns the relative error of each pixel's block, row by row; [`UNLIT`] where `error` has none.
 pub fn errors(error: &FrameError, image: &FrameImage) -> Vec<f32> {
     let (width, height) = (image.color.width, image.color.height);
     let mut pixels = vec![UNLIT; width as usize * height as usize];
@@ -201,8 +199,8 @@ pub(super) fn failed(cause: String) -> FilmError {
     FilmError::Format { what: "writing EXR", cause }
 }
 
-/// Sorts the attributes of a single-part file's header by name. An attribute is a name and a type, both closed by a zero
-/// byte, a 32-bit size and the value; a zero byte closes the header.
+/// Sorts the attributes of a single-part file's header by name. An attribute is a name and a type, both closed by a zero byte, a
+/// 32-bit size and the value; a zero byte closes the header.
 fn sort_attributes(file: &mut [u8]) -> Option<()> {
     const START: usize = 8;
     let text = |at: usize| Some(at + file.get(at..)?.iter().position(|&b| b == 0)? + 1);

@@ -1,4 +1,4 @@
-//! What a tile has beside its picture: layers of its light, features, or both.
+//! Data of a tile besides its picture: layers of its light, features, or both.
 
 use super::tile::VERSION;
 use super::{FeaturePiece, FeatureTile};
@@ -10,7 +10,7 @@ use std::ops::Range;
 const MAGIC: &[u8; 8] = b"FEMCBESD";
 const NOTHING: FilmError = FilmError::Corrupt("neither layers nor features");
 
-/// What there is of the samples of a tile. One of the two at least is there, and both are of the same samples.
+/// Layers and features of the samples of a tile. At least one of the two exists, and both belong to the same samples.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BesideTile {
     /// Layers of the light.
@@ -20,17 +20,17 @@ pub struct BesideTile {
 }
 
 impl BesideTile {
-    /// The samples.
+    /// Returns the samples.
     pub fn samples(&self) -> Option<SampleRange> {
         self.light.as_ref().map(LayerTile::samples).or(self.features.as_ref().map(FeatureTile::samples))
     }
 
-    /// As bytes: the same bytes for the same sums.
+    /// Encodes the tile. Equal sums give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         join([self.light.as_ref().map(LayerTile::encode), self.features.as_ref().map(FeatureTile::encode)])
     }
 
-    /// From its bytes; damage of any kind is an error.
+    /// Decodes a tile; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let [light, features] = part(bytes)?;
         let light = light.map(LayerTile::decode).transpose()?;
@@ -43,8 +43,8 @@ impl BesideTile {
         Ok(Self { light, features })
     }
 
-    /// As [`LayerTile::united`] and [`FeatureTile::united`].
-    /// - errors: theirs, and parts of which some have what others lack.
+    /// Unites the parts of a tile, like [`LayerTile::united`] and [`FeatureTile::united`].
+    /// - errors: those of these functions; some parts lack layers or features that others have.
     pub fn united(parts: Vec<Self>, begin: u32, ends: Ends) -> Result<Self, FilmError> {
         let count = parts.len();
         let (light, features): (Vec<_>, Vec<_>) = parts.into_iter().map(|part| (part.light, part.features)).unzip();
@@ -64,7 +64,7 @@ impl BesideTile {
     }
 }
 
-/// The same of several tiles of a frame, resolved.
+/// Resolved layers and features of several tiles of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BesidePiece {
     /// Layers of the light.
@@ -77,13 +77,13 @@ pub struct BesidePiece {
 }
 
 impl BesidePiece {
-    /// No tiles of a film yet; the first that is put is number `first`.
+    /// Creates a piece without tiles; the first tile added is number `first`.
     pub fn new(tiling: Tiling, first: usize) -> Self {
         Self { light: None, features: None, tiling, tiles: first..first, samples: Vec::new() }
     }
 
-    /// Takes the next tile in.
-    /// - errors: it is another one, or has other things than those before.
+    /// Adds the next tile.
+    /// - errors: it is not the next tile, or it has other data than the previous tiles.
     pub fn put(&mut self, tile: &BesideTile, ends: Ends) -> Result<(), FilmError> {
         let samples = tile.samples().ok_or(NOTHING)?;
         if self.tiles.is_empty() {
@@ -105,27 +105,27 @@ impl BesidePiece {
         Ok(())
     }
 
-    /// How the film is cut.
+    /// Returns the tiling of the film.
     pub fn tiling(&self) -> Tiling {
         self.tiling
     }
 
-    /// The tiles.
+    /// Returns the numbers of the tiles.
     pub fn tiles(&self) -> Range<usize> {
         self.tiles.clone()
     }
 
-    /// The samples of each tile.
+    /// Returns the samples of each tile.
     pub fn samples(&self) -> &[SampleRange] {
         &self.samples
     }
 
-    /// The tiles as bytes: the same bytes for the same pixels.
+    /// Encodes the tiles. Equal pixels give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         join([self.light.as_ref().map(LayerPiece::encode), self.features.as_ref().map(FeaturePiece::encode)])
     }
 
-    /// The tiles from their bytes; damage of any kind is an error.
+    /// Decodes tiles; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let [light, features] = part(bytes)?;
         let light = light.map(LayerPiece::decode).transpose()?;

@@ -1,26 +1,26 @@
-//! Features of a tile: exact means of numbers about what each pixel's samples have met first, and shares of what they belong to.
+//! Features of a tile: exact means of first-hit numbers of each pixel's samples, and the shares of ids.
 //!
-//! A pixel has the number of its samples and of those that met something, of these the sums of some numbers, and how many of them
-//! belong to which ids. What the numbers and ids mean the film does not know. All good samples count, as in the picture's albedo and
-//! depth, whether the picture holds them or not: nothing was decided by them.
+//! A pixel stores the number of its samples and the number of hits. For the hits, it stores the sums of some numbers, and how many
+//! belong to which ids. The film does not know the meaning of the numbers and ids. All good samples count, as in the picture's
+//! albedo and depth, whether the picture holds them or not, because no decision was based on them.
 //!
-//! A number is rounded once to a multiple of 2^-40 and kept within 2^40; a sum of 2^32 of these fits 128 bits, so that addition is exact in
-//! any order. That costs 16 bytes a number and pixel before compression.
+//! A number is rounded once to a multiple of 2^-40 and clamped to 2^40. A sum of 2^32 such numbers fits into 128 bits, so addition
+//! is exact in any order. This costs 16 bytes per number and pixel before compression.
 //!
-//! As bytes, a header and a zstd frame of byte planes; what a tile has beside its picture is put together in one more header:
+//! The binary format is a header and a zstd frame of byte planes. Another header joins the data of a tile besides its picture:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCFEAT`: sums of a tile; `FEMCFPIX`: resolved pixels of several tiles; `FEMCBESD`: the light layers and the features of either |
 //! | 4 | format version, 1 |
 //! | 16 | BLAKE3 of everything after this field, first half |
-//! | 2 x 4 | of `FEMCBESD`: bytes of light layers, of features; 0: none. Both follow, and are all |
-//! | 2 x 4 | of others: number of numbers, 0 to 64, and of kinds of ids, 0 to 8 |
-//! | 6 x 4 | of sums: x, y, width, height; first sample, one past the last |
-//! | 4 each | of sums: of each kind of ids the number of entries in all pixels |
-//! | 5 x 4 | of pixels: film width, film height, tile edge; first tile, one past the last |
-//! | 8 each | of pixels: of each tile its samples, the first, one past the last |
-//! | rest | zstd frame: of sums samples and hits of each pixel, numbers pixel by pixel, and for each kind the pixels' numbers of entries and the entries, ids ascending, with their samples; of pixels tile by tile the words of the pixel, one after the other |
+//! | 2 x 4 | `FEMCBESD`: bytes of light layers, of features; 0: none. Both follow, and nothing else |
+//! | 2 x 4 | others: number of numbers, 0 to 64, and of kinds of ids, 0 to 8 |
+//! | 6 x 4 | sums: x, y, width, height; first sample, one past the last |
+//! | 4 each | sums: for each kind of ids, the number of entries in all pixels |
+//! | 5 x 4 | pixels: film width, film height, tile edge; first tile, one past the last |
+//! | 8 each | pixels: for each tile, its first sample and one past the last |
+//! | rest | zstd frame. Sums: samples and hits of each pixel, numbers pixel by pixel, and for each kind the pixels' numbers of entries and the entries, ids ascending, with their samples. Pixels: tile by tile, the words of the pixel, one after the other |
 
 mod beside;
 mod piece;
@@ -34,23 +34,24 @@ pub use tile::FeatureTile;
 
 use crate::FilmError;
 
-/// Ids of a pixel that an image tells, those that most samples belong to.
+/// Number of ids that an image stores per pixel: those with the most samples.
 pub const RANKS: usize = 6;
 
-/// Most numbers, and most kinds of ids.
+/// Maximum number of numbers, and of kinds of ids.
 const MOST: [u32; 2] = [64, 8];
 
-/// How many numbers and kinds of ids a pixel has.
+/// Number of values and of kinds of ids of a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FeatureLayout {
-    /// Numbers that are averaged, at most 64.
+    /// Number of averaged values, at most 64.
     pub values: u32,
-    /// Kinds of ids, at most 8.
+    /// Number of kinds of ids, at most 8.
     pub ids: u32,
 }
 
 impl FeatureLayout {
-    /// Channels of a resolved pixel: the numbers, the coverage, and of each kind [`RANKS`] times an id and its share.
+    /// Returns the number of channels of a resolved pixel: the values, the coverage, and for each kind [`RANKS`] times an id and
+    /// its share.
     pub fn channels(self) -> usize {
         self.values as usize + 1 + 2 * RANKS * self.ids as usize
     }

@@ -1,4 +1,4 @@
-//! Features of several tiles and of a frame, resolved.
+//! Resolved features of several tiles and of a frame.
 
 use super::sums::mean;
 use super::tile::VERSION;
@@ -10,27 +10,27 @@ use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCFPIX";
 
-/// The features of some tiles of a frame, resolved.
+/// Resolved features of some tiles of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeaturePiece {
     tiling: Tiling,
     tiles: Range<usize>,
     layout: FeatureLayout,
-    /// Of each tile.
+    /// Samples of each tile.
     samples: Vec<SampleRange>,
     /// Bits of floats: tile by tile, channel by channel, row by row.
     channels: Vec<u32>,
 }
 
 impl FeaturePiece {
-    /// No tiles of a film yet; the first that is put is number `first`.
+    /// Creates a piece without tiles; the first tile added is number `first`.
     pub fn new(tiling: Tiling, first: usize) -> Self {
         let layout = FeatureLayout::default();
         Self { tiling, tiles: first..first, layout, samples: Vec::new(), channels: Vec::new() }
     }
 
-    /// Takes the next tile in.
-    /// - errors: it is another one, or has other features.
+    /// Adds the next tile.
+    /// - errors: it is not the next tile, or it has other features.
     pub fn put(&mut self, tile: &FeatureTile) -> Result<(), FilmError> {
         if self.tiling.rect(self.tiles.end) != Some(tile.rect()) {
             return Err(FilmError::NotInFrame(tile.rect()));
@@ -67,22 +67,22 @@ impl FeaturePiece {
         Ok(())
     }
 
-    /// How the film is cut.
+    /// Returns the tiling of the film.
     pub fn tiling(&self) -> Tiling {
         self.tiling
     }
 
-    /// The tiles.
+    /// Returns the numbers of the tiles.
     pub fn tiles(&self) -> Range<usize> {
         self.tiles.clone()
     }
 
-    /// The samples of each tile.
+    /// Returns the samples of each tile.
     pub fn samples(&self) -> &[SampleRange] {
         &self.samples
     }
 
-    /// The tiles as bytes: the same bytes for the same pixels.
+    /// Encodes the tiles. Equal pixels give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         let FeatureLayout { values, ids } = self.layout;
         let Tiling { width, height, edge } = self.tiling;
@@ -94,7 +94,7 @@ impl FeaturePiece {
         finish(out, &to_planes(&self.channels, |bits| bits.to_le_bytes()))
     }
 
-    /// The tiles from their bytes; damage of any kind is an error.
+    /// Decodes tiles; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let mut reader = open(MAGIC, VERSION, bytes)?;
         let [values, ids] = reader.words()?;
@@ -108,8 +108,8 @@ impl FeaturePiece {
     }
 }
 
-/// The ids that most samples belong to, the most first, of equal ones the lowest id; zeros where there are fewer.
-/// - `misses`: samples that met nothing, whose id is 0.
+/// Ranks the ids by their number of samples, in descending order; ties go to the lowest id. Missing entries are zeros.
+/// - `misses`: number of samples without a hit, whose id is 0.
 fn ranked(pixel: &[[u32; 2]], misses: u32) -> [[u32; 2]; RANKS] {
     let mut sorted = pixel.to_vec();
     if misses > 0 {
@@ -125,21 +125,21 @@ pub struct FeatureImage {
     layout: FeatureLayout,
     width: u32,
     height: u32,
-    /// Channel by channel, row by row: the numbers, means over the samples that met something, 0 where none did; the coverage, the share
-    /// of these among all; of each kind of ids [`RANKS`] times an id, whose bits are the float's, and the share of the samples that
-    /// belong to it. Samples that met nothing have the id 0.
+    /// Channels, each row by row. First the values: means over the samples with a hit, 0 without hits. Then the coverage: the
+    /// fraction of samples with a hit. Then, for each kind of ids, [`RANKS`] times an id, as the bits of a float, and the fraction
+    /// of the samples that belong to it. Samples without a hit have the id 0.
     pub channels: Vec<Vec<f32>>,
 }
 
 impl FeatureImage {
-    /// A film that has met nothing.
+    /// Creates the features of a film without hits.
     pub fn new(layout: FeatureLayout, width: u32, height: u32) -> Self {
         let nothing = vec![0.0; width as usize * height as usize];
         Self { layout, width, height, channels: vec![nothing; layout.channels()] }
     }
 
-    /// Takes the pixels of a piece in.
-    /// - errors: it is of another film or of other features.
+    /// Copies the pixels of a piece to their place.
+    /// - errors: the piece belongs to another film or has other features.
     pub fn put(&mut self, piece: &FeaturePiece) -> Result<(), FilmError> {
         if (piece.layout, piece.tiling.width, piece.tiling.height) != (self.layout, self.width, self.height) {
             return Err(FilmError::Corrupt("features of another frame"));
@@ -155,7 +155,7 @@ impl FeatureImage {
         Ok(())
     }
 
-    /// Ids of a kind that pixels have, but for that of nothing.
+    /// Returns the ids of a kind that pixels have, without the id of nothing.
     pub fn ids(&self, kind: usize) -> BTreeSet<u32> {
         let first = self.layout.values as usize + 1 + 2 * RANKS * kind;
         let ranks = self.channels[first..first + 2 * RANKS].chunks_exact(2);

@@ -2,28 +2,28 @@
 
 use super::FeatureLayout;
 
-/// A number is a multiple of 1 over this.
+/// Denominator of the fixed-point values: a value is a multiple of 1 over this.
 const UNIT: f64 = (1u64 << 40) as f64;
-/// Largest number.
+/// Largest absolute value.
 const LIMIT: f64 = (1u64 << 40) as f64;
 /// Largest term.
 pub(super) const MOST: i128 = 1 << 80;
 
-/// A number as what is summed up: not beyond the limits, and 0 for what is none.
+/// Converts a number to a term: clamped to the limits, and 0 for NaN.
 #[inline]
 fn quantize(value: f64) -> i128 {
     (value.clamp(-LIMIT, LIMIT) * UNIT).round() as i128
 }
 
-/// Mean of `count` numbers with this sum.
+/// Returns the mean of `count` values with this sum.
 pub(super) fn mean(sum: i128, count: u32) -> f64 {
     if count == 0 { 0.0 } else { sum as f64 / UNIT / f64::from(count) }
 }
 
-/// Of each pixel how many samples belong to which ids: (id, samples), ids ascending.
+/// Number of samples of each id, for each pixel: (id, samples), ids ascending.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Shares {
-    /// Of each pixel where its entries end.
+    /// End of the entries of each pixel.
     ends: Vec<usize>,
     pub entries: Vec<[u32; 2]>,
 }
@@ -39,7 +39,7 @@ impl Shares {
         starts.zip(&self.ends).map(|(start, end)| &self.entries[start..*end])
     }
 
-    /// From the numbers of the pixels' entries; `None`: they are not so many.
+    /// Creates the shares from the pixels' numbers of entries; `None`: they do not match the entries.
     pub fn new(counts: &[u32], entries: Vec<[u32; 2]>) -> Option<Self> {
         let mut end = 0usize;
         let ends: Vec<usize> = counts
@@ -52,7 +52,7 @@ impl Shares {
         (end == entries.len()).then_some(Self { ends, entries })
     }
 
-    /// The samples of both.
+    /// Returns the shares of the samples of both.
     pub fn merged(&self, other: &Self) -> Self {
         let mut all = Self::default();
         let mut pixel = Vec::new();
@@ -77,17 +77,17 @@ fn add(pixel: &mut Vec<[u32; 2]>, id: u32, count: u32) {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FeatureSums {
     pub(super) layout: FeatureLayout,
-    /// Of each pixel its good samples, and those that met something.
+    /// Good samples and hits of each pixel.
     pub(super) counts: Vec<[u32; 2]>,
-    /// Pixel by pixel.
+    /// Sums of the values, pixel by pixel.
     pub(super) values: Vec<i128>,
     pub(super) shares: Vec<Shares>,
-    /// Ids of the pixel that is being filled.
+    /// Ids of the current pixel.
     open: Vec<Vec<[u32; 2]>>,
 }
 
 impl FeatureSums {
-    /// No pixels yet.
+    /// Creates sums without pixels.
     pub fn new(layout: FeatureLayout) -> Self {
         let kinds = layout.ids as usize;
         let (shares, open) = (vec![Shares::default(); kinds], vec![Vec::new(); kinds]);
@@ -103,7 +103,7 @@ impl FeatureSums {
         Self { counts, values, shares, ..Self::new(layout) }
     }
 
-    /// Ends the pixel that is being filled, if there is one, and begins the next.
+    /// Finishes the current pixel, if there is one, and starts the next.
     pub fn begin_pixel(&mut self) {
         self.end_pixel();
         self.counts.push([0; 2]);
@@ -120,8 +120,7 @@ impl FeatureSums {
         }
     }
 
-    /// Adds a sample to the pixel that is being filled: what it met has these numbers and ids, as many as the layout has; `None`: it met
-    /// nothing.
+    /// Adds a sample to the current pixel: the values and ids of the hit, as many as in the layout; `None`: no hit.
     #[inline]
     pub fn add(&mut self, met: Option<(&[f64], &[u32])>) {
         let Some([samples, hits]) = self.counts.last_mut() else { return };
@@ -133,7 +132,7 @@ impl FeatureSums {
         self.open.iter_mut().zip(ids).for_each(|(open, id)| add(open, *id, 1));
     }
 
-    /// All pixels of sums one after the other.
+    /// Concatenates the pixels of several sums.
     pub fn joined(layout: FeatureLayout, all: impl IntoIterator<Item = Self>) -> Self {
         let mut joined = Self::new(layout);
         for mut next in all {

@@ -19,8 +19,8 @@ pub struct FeatureTile {
 }
 
 impl FeatureTile {
-    /// Of sums by pixel, row by row.
-    /// - errors: they are not so many.
+    /// Creates a tile from sums by pixel, row by row.
+    /// - errors: the number of pixels is wrong.
     pub fn new(rect: Rect, samples: Range<u32>, sums: FeatureSums) -> Result<Self, FilmError> {
         let area = rect.check(MAX_TILE_PIXELS)?.area() as usize;
         let samples = SampleRange::from(samples);
@@ -34,17 +34,17 @@ impl FeatureTile {
         Ok(Self { rect, samples, sums })
     }
 
-    /// The pixels.
+    /// Returns the pixels.
     pub fn rect(&self) -> Rect {
         self.rect
     }
 
-    /// The samples.
+    /// Returns the samples.
     pub fn samples(&self) -> SampleRange {
         self.samples
     }
 
-    /// What a pixel has.
+    /// Returns the layout of a pixel.
     pub fn layout(&self) -> FeatureLayout {
         self.sums.layout
     }
@@ -53,9 +53,9 @@ impl FeatureTile {
         &self.sums
     }
 
-    /// The samples of one tile from `begin` on that were rendered in these parts, in any order; a part that is there twice counts once. What is
-    /// before `begin` is left out.
-    /// - errors: parts of different pixels or features, with a gap or that overlap; none.
+    /// Unites the parts of a tile: its samples from `begin` on. Parts may come in any order, and a repeated part counts once.
+    /// Samples before `begin` are left out.
+    /// - errors: parts of different pixels or features, with a gap, or overlapping; no parts.
     pub fn united(mut parts: Vec<Self>, begin: u32) -> Result<Self, FilmError> {
         parts.retain(|part| part.samples.end > begin);
         parts.sort_by_key(|part| part.samples);
@@ -78,7 +78,7 @@ impl FeatureTile {
         Ok(all)
     }
 
-    /// The features as bytes: the same bytes for the same sums.
+    /// Encodes the features. Equal sums give equal bytes.
     pub fn encode(&self) -> Vec<u8> {
         let FeatureSums { layout, counts, values, shares, .. } = &self.sums;
         let Rect { x, y, width, height } = self.rect;
@@ -96,7 +96,7 @@ impl FeatureTile {
         finish(out, &planes)
     }
 
-    /// The features from their bytes; damage of any kind is an error.
+    /// Decodes features; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let mut reader = open(MAGIC, VERSION, bytes)?;
         let [values, ids] = reader.words()?;
@@ -108,7 +108,7 @@ impl FeatureTile {
         let mut entries = Vec::with_capacity(ids as usize);
         for _ in 0..ids {
             let [count] = reader.words()?;
-            // No pixel has more ids than samples.
+            // A pixel cannot have more ids than samples.
             if u64::from(count) > area as u64 * u64::from(samples.len()) {
                 return Err(FilmError::Corrupt("impossible number of ids"));
             }
@@ -136,7 +136,7 @@ impl FeatureTile {
     }
 }
 
-/// Refuses what no samples have.
+/// Refuses sums that no samples can give.
 fn check(counts: &[[u32; 2]], values: &[i128], shares: &[Shares], samples: SampleRange) -> Result<(), FilmError> {
     if counts.iter().any(|[all, hits]| hits > all || *all > samples.len()) {
         return Err(FilmError::Corrupt("more samples than its ranges hold"));

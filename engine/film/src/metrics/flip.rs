@@ -1,10 +1,10 @@
-//! HDR-FLIP: the difference that a viewer sees when two images alternate, over all exposures that matter.
+//! HDR-FLIP: the difference that a viewer sees when two images alternate, over all relevant exposures.
 //!
-//! The published algorithm (\[andersson2020\], \[andersson2021\]) with its constants: both images are shown at exposures
-//! between the one at which the reference's brightest pixel nears white and the one at which its median does, through the
-//! ACES curve (\[narkowicz2016\]). For each exposure LDR-FLIP is computed: contrast-sensitivity filtering in an opponent
-//! space, the HyAB distance in Hunt-adjusted L*a*b*, and the difference of edges and points. A pixel's error is its largest
-//! over the exposures. The viewer is at 67 pixels a degree: 0.7 m from a 0.7 m wide screen of 3840 pixels.
+//! This is the published algorithm (\[andersson2020\], \[andersson2021\]) with its constants. Both images are shown at a range of
+//! exposures through the ACES curve (\[narkowicz2016\]). At one end of the range, the reference's brightest pixel is nearly white;
+//! at the other end, its median is. For each exposure LDR-FLIP is computed: contrast-sensitivity filtering in an opponent space,
+//! the HyAB distance in Hunt-adjusted L*a*b*, and the difference of edges and points. A pixel's error is its largest over the
+//! exposures. The viewer is at 67 pixels per degree: 0.7 m from a 0.7 m wide screen of 3840 pixels.
 
 use super::plane::Plane;
 use crate::Image;
@@ -25,15 +25,15 @@ const XYZ_TO_RGB: [[f32; 3]; 3] = [
     [-0.969_224_334, 1.875_930_071, 0.041_554_224],
     [0.055_639_423, -0.204_011_202, 1.057_148_933],
 ];
-/// ACES curve `(x (a x + b)) / (x (c x + d) + e)` with its exposure of 0.6 taken in.
+/// ACES curve `(x (a x + b)) / (x (c x + d) + e)`, including its exposure of 0.6.
 const ACES: [f32; 5] = [0.6 * 0.6 * 2.51, 0.6 * 0.03, 0.6 * 0.6 * 2.43, 0.6 * 0.59, 0.14];
 /// Display value that the brightest and the median pixel reach at the ends of the range.
 const NEAR_WHITE: f64 = 0.85;
 
-/// Mean HDR-FLIP of `image` against `reference`, of equal sizes and finite; negative components count as 0.
+/// Computes the mean HDR-FLIP of `image` against `reference`, of equal sizes and finite; negative components count as 0.
 pub fn hdr_flip(image: &Image, reference: &Image) -> f64 {
     let Some((start, stop)) = exposures(reference) else {
-        // A black reference has no exposure range; one exposure shows whatever light the image has.
+        // A black reference has no exposure range, so a single exposure is used.
         return ldr_flip(&shown(image, 0.0), &shown(reference, 0.0)).mean();
     };
     let count = (stop - start).ceil().max(2.0);
@@ -49,7 +49,7 @@ pub fn hdr_flip(image: &Image, reference: &Image) -> f64 {
     worst.map_or(0.0, |w| w.mean())
 }
 
-/// First and last exposure in stops. `None` for a black reference; a black median counts as a tiny one.
+/// Returns the first and last exposure in stops. `None` for a black reference; a black median counts as a tiny value.
 fn exposures(reference: &Image) -> Option<(f64, f64)> {
     const DARKEST: f64 = 1e-4;
     let weigh = |p: &[f32; 3]| 0.2126 * f64::from(p[0]) + 0.7152 * f64::from(p[1]) + 0.0722 * f64::from(p[2]);
@@ -72,7 +72,7 @@ struct Shown {
     pixels: Vec<[f32; 3]>,
 }
 
-/// The image at an exposure in stops.
+/// Applies the tone curve to the image at an exposure in stops.
 fn shown(image: &Image, exposure: f32) -> Shown {
     let gain = pow(2.0, exposure);
     let [a, b, c, d, e] = ACES;
@@ -83,7 +83,7 @@ fn shown(image: &Image, exposure: f32) -> Shown {
     Shown { width: image.width, pixels: image.pixels.par_iter().map(|p| p.map(curve)).collect() }
 }
 
-/// Error of each pixel, 0..1.
+/// Computes the error of each pixel, 0..1.
 fn ldr_flip(image: &Shown, reference: &Shown) -> Plane {
     let opponent = [image, reference].map(opponent);
     let [color_a, color_b] = [0, 1].map(|i| perceived(&opponent[i]));
@@ -110,7 +110,7 @@ fn redistribute(error: f32, most: f32) -> f32 {
     if error < knee { AT_KNEE / knee * error } else { AT_KNEE + (error - knee) / (most - knee) * (1.0 - AT_KNEE) }
 }
 
-/// HyAB: city block in lightness, Euclidean in chroma.
+/// Computes the HyAB distance: city block in lightness, Euclidean in chroma.
 fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     let (da, db) = (a[1] - b[1], a[2] - b[2]);
     (a[0] - b[0]).abs() + (da * da + db * db).sqrt()
@@ -120,13 +120,13 @@ fn multiply(m: &[[f32; 3]; 3], v: [f32; 3]) -> [f32; 3] {
     m.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
 }
 
-/// Linear color relative to the white point, X Y Z.
+/// Converts a linear color to X Y Z relative to the white point.
 fn relative_xyz(rgb: [f32; 3]) -> [f32; 3] {
     let xyz = multiply(&RGB_TO_XYZ, rgb);
     [xyz[0] / WHITE[0], xyz[1] / WHITE[1], xyz[2] / WHITE[2]]
 }
 
-/// The linear opponent space Y Cx Cz.
+/// Converts to the linear opponent space Y Cx Cz.
 fn opponent(shown: &Shown) -> [Plane; 3] {
     let axis = |f: fn([f32; 3]) -> f32| {
         Plane::from_values(shown.width, shown.pixels.par_iter().map(|&p| f(relative_xyz(p))).collect())
@@ -134,7 +134,7 @@ fn opponent(shown: &Shown) -> [Plane; 3] {
     [axis(|v| 116.0 * v[1] - 16.0), axis(|v| 500.0 * (v[0] - v[1])), axis(|v| 200.0 * (v[1] - v[2]))]
 }
 
-/// L*a*b* with the Hunt effect: chroma grows with lightness.
+/// Converts to L*a*b* with the Hunt effect: chroma grows with lightness.
 fn hunt_lab(rgb: [f32; 3]) -> [f32; 3] {
     const DELTA: f32 = 6.0 / 29.0;
     let f = |t: f32| if t > DELTA * DELTA * DELTA { cbrt(t) } else { t / (3.0 * DELTA * DELTA) + 4.0 / 29.0 };
@@ -143,7 +143,7 @@ fn hunt_lab(rgb: [f32; 3]) -> [f32; 3] {
     [lightness, 0.01 * lightness * 500.0 * (x - y), 0.01 * lightness * 200.0 * (y - z)]
 }
 
-/// What is left of the opponent planes at the viewing distance, in Hunt-adjusted L*a*b*.
+/// Filters the opponent planes for the viewing distance and returns them in Hunt-adjusted L*a*b*.
 fn perceived(planes: &[Plane; 3]) -> Vec<[f32; 3]> {
     /// Sums of Gaussians `a sqrt(pi / b) exp(-pi^2 x^2 / b)`, x in degrees: (a, b) for the three axes.
     const SENSITIVITY: [&[(f64, f64)]; 3] = [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, 0.04), (13.5, 0.025)]];
@@ -159,10 +159,10 @@ fn perceived(planes: &[Plane; 3]) -> Vec<[f32; 3]> {
         .collect()
 }
 
-/// Filters by a sum of Gaussians whose weights over the whole window add up to 1. Each of them is separable.
+/// Filters with a sum of Gaussians whose weights over the whole window sum to 1. Each Gaussian is separable.
 fn filter_sum(plane: &Plane, gaussians: &[(f64, f64)]) -> Plane {
     use std::f64::consts::PI;
-    /// The window spans three standard deviations of the widest Gaussian of all axes.
+    /// Widest Gaussian of all axes; the window spans three of its standard deviations.
     const WIDEST: f64 = 0.04;
     let radius = (3.0 * (WIDEST / (2.0 * PI * PI)).sqrt() * PIXELS_PER_DEGREE).ceil() as i32;
     let parts: Vec<(f64, Vec<f64>)> = gaussians
@@ -183,9 +183,9 @@ fn filter_sum(plane: &Plane, gaussians: &[(f64, f64)]) -> Plane {
     filtered.reduce(|a, b| a.zip(&b, |x, y| x + y)).unwrap_or_else(|| plane.clone())
 }
 
-/// Strength of edges and of points in the achromatic axis.
+/// Computes the strength of edges and of points in the achromatic axis.
 fn features(y: &Plane) -> [Plane; 2] {
-    /// Peak to trough of the eye's edge detector, degrees.
+    /// Distance from peak to trough of the eye's edge detector, degrees.
     const EDGE: f64 = 0.082;
     let deviation = 0.5 * EDGE * PIXELS_PER_DEGREE;
     let radius = (3.0 * deviation).ceil() as i32;
@@ -204,7 +204,7 @@ fn features(y: &Plane) -> [Plane; 2] {
     })
 }
 
-/// The kernel with its positive weights scaled to the sum 1 and its negative ones to -1.
+/// Scales the positive weights of the kernel to the sum 1 and its negative ones to -1.
 fn balanced(kernel: &[f64]) -> Vec<f32> {
     let positive: f64 = kernel.iter().filter(|k| **k > 0.0).sum();
     let negative: f64 = -kernel.iter().filter(|k| **k < 0.0).sum::<f64>();

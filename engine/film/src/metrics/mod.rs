@@ -1,7 +1,7 @@
-//! How far an image is from a reference.
+//! Error metrics of an image against a reference.
 //!
 //! Sums are over the three channels of all pixels that are finite in both images; the others are counted and left out. The
-//! arithmetic is in doubles on the 32-bit pixels, as numpy does it after a conversion.
+//! arithmetic uses doubles on the 32-bit pixels, like numpy after a conversion.
 
 pub mod flip;
 mod plane;
@@ -13,7 +13,7 @@ use femc_math::elementary::double;
 use plane::Plane;
 use serde::Serialize;
 
-/// What keeps the relative error finite where the reference is black, (cd/m2)^2.
+/// Term that keeps the relative error finite where the reference is black, (cd/m2)^2.
 const RELATIVE_FLOOR: f64 = 0.01;
 
 /// Error of an image `a` against a reference `r`.
@@ -25,9 +25,9 @@ pub struct Comparison {
     pub relmse: f64,
     /// `10 log10(peak^2 / mse)`, dB, where `peak` is the largest component of the reference; infinite for equal images.
     pub psnr: f64,
-    /// Mean structural similarity (\[wang2004\]) of the luminance as displayed: both images through the tone curve that
-    /// automatic exposure gives the reference, 11 x 11 Gaussian windows of standard deviation 1.5 (cut and renormalised at
-    /// the border), K1 = 0.01, K2 = 0.03, dynamic range 1. 1 for equal images.
+    /// Mean structural similarity (\[wang2004\]) of the luminance as displayed. Both images use the tone curve of the reference's
+    /// automatic exposure, 11 x 11 Gaussian windows of standard deviation 1.5 (cut and renormalized at the border), K1 = 0.01, K2 =
+    /// 0.03, dynamic range 1. 1 for equal images.
     pub ssim: f64,
     /// Mean HDR-FLIP (\[andersson2021\]), 0 for equal images, at most 1; see [`flip`].
     pub flip: f64,
@@ -39,7 +39,7 @@ pub struct Comparison {
     pub excluded: Excluded,
 }
 
-/// The pixel that is off the most.
+/// The pixel with the largest error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WorstPixel {
     /// Column.
@@ -61,7 +61,7 @@ pub struct Excluded {
     pub image: u64,
     /// Pixels with a NaN or infinite component in the reference.
     pub reference: u64,
-    /// Pixels left out: those of either.
+    /// Pixels left out: those that are not finite in at least one image.
     pub pixels: u64,
 }
 
@@ -93,7 +93,8 @@ pub fn compare(image: &Image, reference: &Image) -> Result<Comparison, FilmError
     })
 }
 
-/// Both images with the pixels that are not finite in one of them set to black in both, where they add nothing to any sum.
+/// Returns both images with the pixels that are not finite in either of them set to black in both, where they add nothing to any
+/// sum.
 fn finite(image: &Image, reference: &Image) -> Result<(Image, Image, Excluded), FilmError> {
     let (mut a, mut r, mut excluded) = (image.clone(), reference.clone(), Excluded::default());
     for (a, r) in a.pixels.iter_mut().zip(&mut r.pixels) {
@@ -145,7 +146,7 @@ impl Sums {
     }
 }
 
-/// Rec.709 luma of the displayed image, 0..1.
+/// Returns the Rec.709 luma of the displayed image, 0..1.
 fn displayed(image: &Image, curve: ToneCurve) -> Plane {
     let luma = |p: &[f32; 3]| {
         let [r, g, b] = curve.display(*p);

@@ -22,14 +22,14 @@ impl Plane {
         self.values.iter().map(|&v| f64::from(v)).sum::<f64>() / self.values.len() as f64
     }
 
-    /// The values of two planes combined one by one.
+    /// Combines the values of two planes one by one.
     pub fn zip(&self, other: &Self, f: impl Fn(f32, f32) -> f32 + Sync) -> Self {
         let values = self.values.par_iter().zip(&other.values).map(|(&a, &b)| f(a, b)).collect();
         Self { width: self.width, values }
     }
 
-    /// Correlation with the product of an odd kernel along rows and one along columns. Beyond the border the nearest pixel
-    /// stands in. Each output is a sum in the kernel's order, so threads do not change it.
+    /// Correlates with the product of an odd kernel along rows and one along columns. Beyond the border, the nearest pixel is used.
+    /// Each output is a sum in the kernel's order, so the number of threads does not change it.
     pub fn filter(&self, along_x: &[f32], along_y: &[f32]) -> Self {
         self.filter_rows(along_x).filter_columns(along_y)
     }

@@ -8,11 +8,11 @@ const DEVIATION: f64 = 1.5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// Mean structural similarity of two planes of range 1; windows are cut and renormalised at the border.
+/// Computes the mean structural similarity of two planes of range 1; windows are cut and renormalized at the border.
 pub(super) fn ssim(a: &Plane, b: &Plane) -> f64 {
     let kernel = kernel();
-    // A plane of ones filtered over zeros outside gives the weight inside; padding with the nearest pixel would count border
-    // pixels several times, so the planes are extended by zeros and divided by that weight.
+    // The planes are extended by zeros and divided by the weight inside, which is a plane of ones filtered in the same way. Padding
+    // with the nearest pixel would count border pixels several times.
     let blur = |p: &Plane| framed(p).filter(&kernel, &kernel);
     let ones = Plane { width: a.width, values: vec![1.0; a.values.len()] };
     let weight = blur(&ones);
@@ -25,7 +25,7 @@ pub(super) fn ssim(a: &Plane, b: &Plane) -> f64 {
             let at = (y + radius) * wide + x + radius;
             let value = |p: &Plane| f64::from(p.values[at]) / f64::from(weight.values[at]);
             let (ma, mb) = (value(&means[0]), value(&means[1]));
-            // Rounding may make a variance slightly negative, far less than C2; unclipped, equal planes give exactly 1.
+            // Rounding may make a variance slightly negative, far less than C2. Without clipping, equal planes give exactly 1.
             let (va, vb) = (value(&products[0]) - ma * ma, value(&products[1]) - mb * mb);
             let covariance = value(&products[2]) - ma * mb;
             sum += (2.0 * ma * mb + C1) * (2.0 * covariance + C2) / ((ma * ma + mb * mb + C1) * (va + vb + C2));
@@ -34,7 +34,7 @@ pub(super) fn ssim(a: &Plane, b: &Plane) -> f64 {
     sum / a.values.len() as f64
 }
 
-/// The plane in a frame of zeros as wide as the window's radius.
+/// Surrounds the plane with a frame of zeros as wide as the window's radius.
 fn framed(plane: &Plane) -> Plane {
     let radius = RADIUS as usize;
     let width = plane.width + 2 * radius;

@@ -1,4 +1,4 @@
-//! The tile codec: round trips, and nothing but errors on anything else.
+//! Tests of the tile codec: round trips, and errors for any other bytes.
 
 use femc_film::{FilmError, Rect, Sample, Tile};
 use femc_math::{Rgb, hash};
@@ -57,7 +57,7 @@ fn another_version_is_named() {
     assert!(matches!(Tile::decode(&bytes), Err(FilmError::Version { found: 9, expected: 4 })));
 }
 
-/// A header with a right checksum around any fields and payload.
+/// Makes a header with a correct checksum around any fields and payload.
 fn forged(words: &[u32], payload: &[u8]) -> Vec<u8> {
     let body: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).chain(payload.iter().copied()).collect();
     [b"FEMCTILE", &4u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat()
@@ -94,7 +94,7 @@ proptest! {
         words in prop::collection::vec(prop_oneof![0u32..4, any::<u32>()], 0..30),
         payload in prop::collection::vec(any::<u8>(), 0..100),
     ) {
-        // Must return; whether it is an error depends on the words.
+        // Decoding must return; whether it is an error depends on the words.
         let bytes = forged(&words, &payload);
         if let Ok(tile) = Tile::decode(&bytes) {
             prop_assert!(tile.spp() > 0);

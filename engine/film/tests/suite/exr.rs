@@ -1,4 +1,4 @@
-//! OpenEXR files: what is written is what the command line promises, and bad files give errors.
+//! Tests of OpenEXR files: the written content matches the command line's documentation, and bad files give errors.
 
 use exr::prelude::*;
 use femc_film::{
@@ -168,7 +168,7 @@ fn a_file_without_colors_names_its_channels() {
 #[test]
 fn absurd_sizes_are_refused_from_the_header() {
     let bytes = film_exr::encode(&frame(4, 4), &provenance()).unwrap();
-    // The data window is four integers behind its name, type and size; give it 2^30 columns and rows.
+    // The data window is four integers after its name, type and size; give it 2^30 columns and rows.
     let name = b"dataWindow\0box2i\0";
     let at = bytes.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
     let mut forged = bytes.clone();
@@ -200,7 +200,7 @@ fn a_missing_file_is_named() {
     assert!(error.to_string().starts_with("no/such.exr: "), "{error}");
 }
 
-/// Whether a file says that it has names of more than 31 bytes: bit 10 of the second word.
+/// Checks whether a file declares names of more than 31 bytes: bit 10 of the second word.
 fn says_long_names(file: &[u8]) -> bool {
     u32::from_le_bytes(file[4..8].try_into().unwrap()) & 0x400 != 0
 }
@@ -222,7 +222,7 @@ fn a_file_says_that_it_has_long_names_if_and_only_if_a_channel_has_one() {
     }
     let error = file(&"n".repeat(256)).unwrap_err().to_string();
     assert!(error.contains("a name of 256 bytes") && error.contains("255"), "{error}");
-    // A layer's longest name is 64 bytes, and its variance has 11 more.
+    // The longest layer name is 64 bytes, and its variance has 11 more.
     for (name, is_long) in [("a".repeat(20), false), ("a".repeat(21), true), ("a".repeat(64), true)] {
         let image = frame(4, 4);
         let layer = femc_film::LayerImage { name, color: image.albedo.clone(), variance: image.variance.clone() };

@@ -1,4 +1,4 @@
-//! Features: sums in any parts, means and shares, bytes.
+//! Tests of features: sums in any parts, means and shares, bytes.
 
 use femc_film::features::RANKS;
 use femc_film::tile::{OPEN, half_of};
@@ -13,7 +13,7 @@ use std::ops::Range;
 const RECT: Rect = Rect { x: 0, y: 0, width: 5, height: 3 };
 const LAYOUT: FeatureLayout = FeatureLayout { values: 2, ids: 1 };
 
-/// What sample `sample` of a pixel meets: every seventh nothing.
+/// Returns the hit of sample `sample` of a pixel; every seventh sample misses.
 fn met(pixel: u32, sample: u32) -> Option<([f64; 2], [u32; 1])> {
     let word = pixel.wrapping_mul(0x9e37_79b9).wrapping_add(sample.wrapping_mul(0x85eb_ca6b));
     let id = [0xbf80_0000, 7, 7, 3, 0x3f00_0000, 11, 12, 13, 14][word as usize % 9];
@@ -33,7 +33,7 @@ fn sums(pixels: Range<u32>, samples: Range<u32>) -> FeatureSums {
 }
 
 fn tile(samples: Range<u32>) -> FeatureTile {
-    // As two threads have it.
+    // Sums as two threads fill them.
     let rows = [sums(0..5, samples.clone()), sums(5..15, samples.clone())];
     FeatureTile::new(RECT, samples, FeatureSums::joined(LAYOUT, rows)).unwrap()
 }

@@ -1,4 +1,4 @@
-//! Layers of tiles: united in any parts they are the same, they are held as pictures are, and damage of any kind is an error.
+//! Tests of layer tiles: any parts unite to the same layers, layers are held like pictures, and damage of any kind is an error.
 
 use femc_film::tile::{OPEN, half_of};
 use femc_film::{
@@ -15,7 +15,7 @@ fn tiling() -> Tiling {
     Tiling::new(20, 12, 8).unwrap()
 }
 
-/// The light of a sample in each layer.
+/// Returns the light of a sample in each layer.
 fn light(x: u32, y: u32, sample: u32) -> [Rgb; LAYERS] {
     std::array::from_fn(|layer| {
         let v = hash::unit_f32(hash::combine(&[u64::from(x), u64::from(y), u64::from(sample), layer as u64]) as u32);
@@ -46,7 +46,7 @@ fn layers(rect: Rect, samples: std::ops::Range<u32>) -> LayerTile {
     LayerTile::new(rect, samples.clone(), LAYERS as u32, counts(rect, samples), light).unwrap()
 }
 
-/// The frame whose samples have the light of all layers.
+/// Makes the frame whose samples have the light of all layers.
 fn picture(parts: &[std::ops::Range<u32>], ends: [u32; 2]) -> Frame {
     let mut frame = Frame::new(tiling());
     for (index, rect) in tiling().rects().enumerate() {
@@ -86,7 +86,7 @@ fn resolved(parts: &[std::ops::Range<u32>], ends: [u32; 2], group: usize) -> Vec
 fn layers_in_any_parts_and_groups_are_the_same_and_sum_up_to_the_picture_also_where_halves_are_held() {
     for ends in [OPEN, [4, u32::MAX], [8, 4]] {
         let whole = resolved(&[0..4, 4..8, 8..12], ends, 1);
-        // In another order, one part twice, in larger groups; in one part only where nothing is held.
+        // In another order, one part twice, in larger groups; as one single part only if nothing is held.
         assert_eq!(resolved(&[8..12, 0..4, 4..8, 0..4], ends, 4), whole);
         if ends == OPEN {
             assert_eq!(resolved(std::slice::from_ref(&(0..12)), ends, 6), whole);
@@ -153,7 +153,7 @@ fn parts_that_do_not_fit_together_are_refused() {
     assert!(LayerTile::new(first, 0..1, 2, vec![[1, 0]], vec![]).is_err());
 }
 
-/// One sample of `value` in the first pixel.
+/// Makes one sample of `value` in the first pixel.
 fn lit(layers: u64, value: f32) -> TakenLight {
     let mut light = LightBuffer::default();
     light.add(0, Rgb::splat(value));
@@ -174,7 +174,7 @@ fn light_that_layers_take_together_counts_in_each_of_them_however_the_sets_overl
     };
     let tile =
         |samples: std::ops::Range<u32>, light| LayerTile::new(rect, samples, 3, vec![[1, 0]; 64], light).unwrap();
-    // A set that comes twice, one in another order, one without light.
+    // A set that occurs twice, one in another order, one without light.
     let some = tile(0..1, vec![lit(0b110, 1.0), lit(0b011, 2.0), lit(0b110, 4.0), lit(0b100, 0.0)]);
     assert_eq!(colors(&some), [2.0, 7.0, 5.0]);
     assert_eq!(some, tile(0..1, vec![lit(0b011, 2.0), lit(0b110, 5.0)]));
@@ -186,7 +186,7 @@ fn light_that_layers_take_together_counts_in_each_of_them_however_the_sets_overl
         // The mean of two samples.
         assert_eq!(colors(&LayerTile::united(parts, 0, OPEN).unwrap()), [1.0, 5.0, 4.0]);
     }
-    // A half that is held has no light, and a set without light is none.
+    // A held half has no light, and a set without light is dropped.
     assert_eq!(colors(&LayerTile::united(vec![some], 0, [0, 1]).unwrap()), [0.0; 3]);
 }
 

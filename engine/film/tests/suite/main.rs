@@ -1,4 +1,4 @@
-//! Tiles, frames and files, a module a topic.
+//! Tests of tiles, frames and files, one module per topic.
 
 mod codec;
 mod exr;

@@ -1,4 +1,4 @@
-//! Laws of the merge: the image is a function of the set of samples, whatever the order, the cut and the repetitions.
+//! Tests of the merge laws: the image is a function of the set of samples, whatever the order, the division and the repetitions.
 
 use femc_film::{BadKind, FilmError, Frame, Inserted, Rect, Sample, Tile, Tiling};
 use femc_math::{Rgb, hash};
@@ -7,7 +7,7 @@ use proptest::prelude::*;
 const RECT: Rect = Rect { x: 16, y: 8, width: 5, height: 3 };
 const SPP: u32 = 24;
 
-/// Sample `index` of a pixel: values over forty binary orders, some misses, a few bad ones.
+/// Draws sample `index` of a pixel: values over forty binary orders, some misses, a few bad ones.
 fn draw(x: u32, y: u32, index: u32) -> Sample {
     let word = |k: u64| hash::combine(&[u64::from(x), u64::from(y), u64::from(index), k]);
     let value = |k: u64| {
@@ -40,7 +40,7 @@ fn render(rect: Rect, samples: std::ops::Range<u32>) -> Tile {
     tile
 }
 
-/// Ranges between sorted distinct cuts of 0..SPP.
+/// Returns the ranges between sorted distinct cuts of 0..SPP.
 fn partition(mut cuts: Vec<u32>) -> Vec<std::ops::Range<u32>> {
     cuts.extend([0, SPP]);
     cuts.sort_unstable();
@@ -58,7 +58,7 @@ proptest! {
     ) {
         let whole = render(RECT, 0..SPP);
         let parts: Vec<Tile> = partition(cuts).into_iter().map(|r| render(RECT, r)).collect();
-        // Every part at least once, and some again, in a drawn order, some through the codec.
+        // Every part at least once, and some again, in a random order, some through the codec.
         let mut order: Vec<usize> = (0..parts.len()).chain(picks.iter().take(5).map(|p| p.index(parts.len()))).collect();
         for (i, pick) in (0..order.len()).zip(&picks[5..]) {
             let other = pick.index(order.len());
@@ -170,7 +170,7 @@ fn means_variances_and_layers_are_those_of_the_samples() {
     frame.insert(tile).unwrap();
     let image = frame.resolve();
     assert_eq!(image.color.pixels[0], [3.0, 6.0, 0.0]);
-    // The halves have the means 2 and 4: a quarter of the square of what they differ by.
+    // The halves have the means 2 and 4: a quarter of the square of their difference.
     assert_eq!(image.variance[0], [1.0, 4.0, 0.0]);
     assert!((image.luminance_variance[0] / (0.2126f32 + 2.0 * 0.7152).powi(2) - 1.0).abs() < 1e-4);
     assert_eq!(image.albedo[0], [0.25, 1.0, 255.0]);
@@ -198,7 +198,7 @@ proptest! {
             merged.hold(ends).unwrap();
         }
         for part in &parts[1..] {
-            // Some parts know what is held, others do not, and one that has been through its bytes still does.
+            // Some parts know what is held, others do not. A part still knows it after a round trip through its bytes.
             let mut part = part.clone();
             if is_late {
                 part.hold(ends).unwrap();

@@ -1,4 +1,4 @@
-//! Error metrics: hand-computed values, known properties, and images that cannot be compared.
+//! Tests of error metrics: hand-computed values, known properties, and images that cannot be compared.
 
 use femc_film::{FilmError, Image, compare};
 use femc_math::hash;

@@ -1,4 +1,4 @@
-//! Pieces of a frame: the image that they make is the frame's own, and damage of any kind is an error.
+//! Tests of pieces of a frame: together they give the frame's own image, and damage of any kind is an error.
 
 use femc_film::{
     BadSamples, Errors, FilmError, Frame, FrameError, FrameImage, Piece, Rect, Sample, SampleRange, Tile, TileErrors,
@@ -7,7 +7,7 @@ use femc_film::{
 use femc_math::{Rgb, hash};
 use proptest::prelude::*;
 
-/// A frame of 6 tiles, two of them narrow, with misses and a bad sample.
+/// Makes a frame of 6 tiles, two of them narrow, with misses and a bad sample.
 fn frame() -> Frame {
     let tiling = Tiling::new(20, 16, 8).unwrap();
     let mut frame = Frame::new(tiling);
@@ -49,8 +49,8 @@ fn pieces_of_any_size_make_the_image_of_the_frame_to_the_bit() {
     }
 }
 
-/// A frame each of whose tiles has its own number of samples, in parts that these cuts make, through all codecs and in groups
-/// of so many tiles: the image, and the errors of the tiles.
+/// Renders a frame whose tiles have different numbers of samples, in parts that these cuts make, through all codecs and in groups
+/// of `group` tiles. Returns the image, its bad samples, and the errors of the tiles.
 fn joined(counts: &[u32], cuts: &[u32], group: usize, is_late: bool) -> (FrameImage, BadSamples, Vec<TileErrors>) {
     let tiling = Tiling::new(40, 20, 16).unwrap();
     let mut frame = Frame::new(tiling);
@@ -97,7 +97,7 @@ proptest! {
         prop_assert_eq!(&image.color, &whole.0.color);
         prop_assert_eq!(pixel_digest(&image.color), pixel_digest(&whole.0.color));
         prop_assert_eq!(format!("{:?}", (&image, bad, &errors)), format!("{:?}", (&whole.0, whole.1, &whole.2)));
-        // Each tile is what it is alone: the others' counts leave no trace in it.
+        // Each tile is the same as alone: the sample counts of other tiles do not affect it.
         for (rect, (index, &count)) in Tiling::new(40, 20, 16).unwrap().rects().zip(counts.iter().enumerate()) {
             let alone = tile(rect, 0..count);
             for ((x, y), sums) in rect.pixels().zip(alone.pixels()) {
@@ -123,7 +123,7 @@ fn the_error_of_the_tiles_is_the_error_of_the_image() {
     }
 }
 
-/// A block of 16 x 16 pixels with independent samples: `v(x, y, sample)`.
+/// Makes a block of 16 x 16 pixels with independent samples: `v(x, y, sample)`.
 fn block(samples: std::ops::Range<u32>, v: impl Fn(u32, u32, u32) -> f32) -> TileErrors {
     let rect = Rect { x: 0, y: 0, width: 16, height: 16 };
     let mut frame = Frame::new(Tiling::new(16, 16, 16).unwrap());
@@ -163,7 +163,7 @@ fn the_variance_of_a_block_and_the_bounds_of_its_halves_are_those_of_independent
 
 #[test]
 fn a_bound_counts_on_light_that_was_not_met_and_a_pixel_that_is_always_bad_does_not_hold_up_its_tile() {
-    // A constant: nothing varies, and three more events of the brightest sample's size may have been missed.
+    // A constant: nothing varies, but three more events of the brightest sample's size may be unseen.
     let tile = block(0..16, |_, _, _| 2.0);
     assert_eq!((tile.blocks[0].block.variance, tile.blocks[0].halves[0].bound), (0.0, 3.0 * (2.0f64 / 8.0).powi(2)));
     let relative = tile.worst(0, 0.0, f64::INFINITY);
@@ -187,7 +187,7 @@ fn damaged_errors_are_refused() {
         assert!(Errors::decode(&damaged).is_err(), "bit {bit}");
     }
     assert!(Piece::decode(&bytes).is_err() && Tile::decode(&bytes).is_err());
-    // Right checksums around wrong numbers.
+    // Correct checksums around wrong numbers.
     let words = [8u32, 8, 8, 0, 1, 0, 4, 0, 0, 7, 0, 4, u32::MAX];
     let forged = |words: &[u32], numbers: [f64; 7]| {
         let planes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();

@@ -1,11 +1,11 @@
-//! Laws of thumbnails and levels: functions of the set of samples, whatever the cut.
+//! Tests of the laws of thumbnails and levels: they are functions of the set of samples, whatever the division.
 
 use femc_film::{Frame, Image, Levels, Rect, Sample, Tile, Tiling, ToneCurve};
 use femc_math::{Rgb, hash};
 
 const FILM: Tiling = Tiling { width: 53, height: 37, edge: 16 };
 
-/// A sample over some twenty octaves, brighter to the right; the lowest rows are black.
+/// Draws a sample over some twenty octaves, brighter to the right; the lowest rows are black.
 fn draw(x: u32, y: u32, index: u32) -> Sample {
     let word = |k: u64| hash::combine(&[u64::from(x), u64::from(y), u64::from(index), k]);
     let light = if y >= 32 { 0.0 } else { hash::unit_f32(word(0) as u32) * 2f32.powi(x as i32 / 3 - 10) };
@@ -23,7 +23,7 @@ fn render(rect: Rect, samples: std::ops::Range<u32>) -> Tile {
     tile
 }
 
-/// The thumbnails of tiles that are cut so, put together backwards and through their bytes.
+/// Makes the thumbnails of tiles that are divided at `cuts`, put together backwards and through their bytes.
 fn thumbnails(edge: u32, cuts: &[u32]) -> Frame {
     let tiling = Tiling { edge, ..FILM };
     let mut small = Frame::new(tiling.of_thumbnails().unwrap());
@@ -87,7 +87,7 @@ fn the_levels_of_an_image_are_those_of_its_thumbnails_but_for_rounding() {
     let lit = |levels: &Levels| levels.lit().map(|(_, count)| count).sum::<u64>();
     assert_eq!((of_image.blocks(), lit(&of_image)), (of_sums.blocks(), lit(&of_sums)));
     let [a, b] = [&of_image, &of_sums].map(|levels| femc_math::elementary::ln(ToneCurve::of_levels(levels).exposure));
-    // The means of pixels weigh every pixel alike, the sums every good sample.
+    // Means of pixels weight every pixel equally; sums weight every good sample equally.
     assert!((a - b).abs() < 0.1, "{a}, {b}");
 }
 

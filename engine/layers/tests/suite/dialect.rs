@@ -1,12 +1,13 @@
-//! Expressions as the manuals of other renderers write them: each is read with its meaning, or refused with advice about the construct.
+//! Tests with expressions from the manuals of other renderers: each is parsed with its meaning, or refused with advice about the
+//! construct.
 
 use femc_layers::{Expression, LayerError};
 
-/// Outcome of an expression.
+/// Expected outcome of parsing an expression.
 enum Outcome {
-    /// It is read as this one is.
+    /// The expression means the same as this one.
     Same(&'static str),
-    /// It is refused at a character, counted from 0, with advice that holds this.
+    /// The expression is refused at a character, counted from 0, with advice that contains this text.
     Refused(usize, &'static str),
 }
 use Outcome::{Refused, Same};
@@ -64,7 +65,7 @@ const TABLE: &[(&str, Outcome)] = &[
     ("C<D>L", Refused(2, "without angles")),
     ("C<[RT]D>L", Same("CDL")),
     ("C(<RD>|<TD>)L", Same("C(<RD>|<TD>)L")),
-    // Slips.
+    // Typing errors.
     ("c<rd>l", Refused(0, "capitals")),
     ("Cdl", Refused(1, "capitals")),
     ("C<rD>L", Refused(2, "capitals")),
@@ -86,7 +87,8 @@ fn what_other_renderers_write_is_read_with_its_meaning_or_refused_by_name() {
         let found = Expression::parse(text);
         match outcome {
             Same(other) => {
-                // RenderMan's `S` has rough gloss in it, and no material of a scene is called so: the label is refused with the scene.
+                // RenderMan's `S` includes glossy scattering, so the trees differ. No material has this label, so a scene would
+                // refuse it; parsing succeeds.
                 if text.contains("subsurface") {
                     assert!(found.is_ok(), "{text}: {found:?}");
                     continue;
@@ -106,7 +108,7 @@ fn other_of(text: &str) -> Expression {
     Expression::parse(text).unwrap_or_else(|e| panic!("{text}: {e}"))
 }
 
-/// The tree with nested sequences joined and every event as the kinds and labels that fit it.
+/// Formats the tree with nested sequences joined and every event as its matching kinds and labels.
 fn normal(expression: &Expression) -> String {
     fn walk(node: &femc_layers::Node) -> String {
         use femc_layers::Node::{Any, Choice, Event, Maybe, Sequence, Some};

@@ -1,4 +1,4 @@
-//! The automaton against a matcher of its own kind: Brzozowski's derivatives of the expression's tree, an event at a time.
+//! Tests of the automaton against an independent matcher: Brzozowski's derivatives of the expression tree, one event at a time.
 
 mod dialect;
 
@@ -7,10 +7,10 @@ use femc_layers::{
 };
 use proptest::prelude::*;
 
-/// An event and the names of what it happens at.
+/// A path: each event with the name of the thing where it happens.
 type Word = Vec<(Kind, &'static str)>;
 
-/// What an expression still asks for.
+/// Remaining part of an expression after some events.
 #[derive(Clone, Debug)]
 enum Rest {
     Never,
@@ -181,10 +181,10 @@ proptest! {
 
 #[test]
 fn no_two_states_of_the_automaton_take_the_same_paths() {
-    // Written in two ways, and with parts that never fit.
+    // Two equivalent spellings, and parts that never match.
     let layers = [Layer::new("a", "C(D|G)*L"), Layer::new("b", "C[DG]*(L|LC)|CVVVC")];
     let (automaton, _) = automaton(&layers);
-    // The dead state, the one before the lamp, and the one behind it.
+    // The dead state, the state before the lamp, and the state after it.
     assert_eq!(automaton.states(), 3);
     assert_eq!((automaton.takers(DEAD, Symbol::NONE), automaton.layers()), (NO_LAYERS, &[0, 0b11][..]));
     assert_eq!(automaton.next(automaton.start(), Symbol::NONE), automaton.start());
@@ -224,7 +224,7 @@ fn lamps_part_the_light_and_an_object_s_label_stands_for_all_within_it() {
 
 #[test]
 fn layers_that_would_take_too_many_states_are_refused() {
-    // Whether the twentieth event from the end is diffuse takes a state for each subset of twenty.
+    // Knowing whether the twentieth event from the end is diffuse takes a state for each subset of twenty events.
     let tail = ".".repeat(20);
     let layers = [Layer::new("deep", format!("C.*D{tail}"))];
     let vocabulary = Automaton::vocabulary(&layers).unwrap();

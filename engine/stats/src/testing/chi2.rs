@@ -1,16 +1,16 @@
 //! Chi-square test of a sampler on the sphere against its density.
 //!
-//! The sphere is cut into cells of equal polar angle and azimuth about +z; the density is integrated over each cell by
-//! adaptive cubature, samples are counted, and cells that expect fewer than five samples are pooled
-//! (\[cochran1952\]; the use on directions follows \[subr2007\]). A draw without a result (`None`) has a cell of its own,
-//! with the mass that the density lacks from 1; so a sampler that loses directions must say so in its density.
+//! The sphere is divided into cells of equal polar angle and azimuth about +z. Adaptive cubature integrates the density over each
+//! cell, samples are counted per cell, and cells that expect fewer than five samples are pooled (\[cochran1952\]; the use on
+//! directions follows \[subr2007\]). Draws without a result (`None`) have a cell of their own, whose mass is 1 minus the integral
+//! of the density. A sampler that loses directions must therefore account for the loss in its density.
 //!
 //! The horizon of +z is a border of cells (an even number of polar rows), so densities that stop there are integrated well.
 
 use super::gamma;
 use std::f64::consts::{PI, TAU};
 
-/// Cells expecting less than this are pooled.
+/// Expected count below which cells are pooled.
 const POOL: f64 = 5.0;
 /// Share of all samples that may fall where the density is zero (directions rounded over a border).
 const STRAY: f64 = 1e-5;
@@ -24,29 +24,29 @@ pub struct Chi2 {
     pub statistic: f64,
     /// Degrees of freedom: pooled cells less one.
     pub dof: usize,
-    /// Chance of a statistic this large or larger if the sampler is right; 0 when samples fell where none can, NaN (which
-    /// no level accepts) when a single pooled cell leaves nothing to test.
+    /// Probability of a statistic this large or larger if the sampler is right. It is 0 when samples fell into cells of zero
+    /// density, and NaN (which no level accepts) when a single pooled cell leaves nothing to test.
     pub p: f64,
-    /// Integral of the density over the sphere: 1 for a sampler that never gives `None`.
+    /// Integral of the density over the sphere: 1 for a sampler that never returns `None`.
     pub integral: f64,
-    /// Samples that fell into cells of zero density.
+    /// Number of samples that fell into cells of zero density.
     pub stray: u64,
 }
 
 impl Chi2 {
-    /// Panics, with the figures, unless `p` is at least `level` and the density integrates to at most 1 (to 0.1 %).
+    /// Panics with the figures unless `p` is at least `level` and the density integrates to at most 1 (to 0.1 %).
     pub fn expect(&self, level: f64, what: &str) {
         assert!(self.p >= level, "{what}: samples do not follow the density at level {level:e}: {self:?}");
         assert!(self.integral <= 1.001, "{what}: the density integrates to more than 1: {self:?}");
     }
 }
 
-/// How fine the sphere is cut.
+/// Resolution of the division of the sphere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cells {
-    /// Rows of equal polar angle; even, so that the horizon is a border.
+    /// Number of rows of equal polar angle; even, so that the horizon is a border.
     pub theta: usize,
-    /// Columns of equal azimuth.
+    /// Number of columns of equal azimuth.
     pub phi: usize,
 }
 
@@ -58,7 +58,7 @@ impl Default for Cells {
 
 /// Tests `n` draws of `sample` against `pdf`.
 /// - `pdf`: density of a unit direction, 1/sr (without delta parts).
-/// - `sample`: draws number 0..n; a unit direction, or `None` for a draw that gives nothing.
+/// - `sample`: draws number 0..n; a unit direction, or `None` for a draw without a result.
 /// - a direction with a NaN makes `p` zero.
 pub fn sphere_test(
     pdf: impl Fn([f64; 3]) -> f64,
@@ -79,7 +79,7 @@ pub fn sphere_test(
         };
         observed[cell] += 1;
     }
-    // The cubature leaves a rounding error's mass for the draws without a result: below 1e-4 none are expected.
+    // Rounding errors of the cubature leave some mass for draws without a result: below 1e-4, none are expected.
     let missing = expected.len() - 1;
     if expected[missing] < NEGLIGIBLE * n as f64 {
         if observed[missing] as f64 > 2.0 * NEGLIGIBLE * n as f64 + 3.0 {
@@ -91,8 +91,8 @@ pub fn sphere_test(
     Chi2 { integral, ..pooled_test(&expected, &observed) }
 }
 
-/// Chi-square test of counts against expected counts, with pooling; `integral` is the sum of `expected` over the
-/// number of samples.
+/// Tests counts against expected counts with chi-square and pooling; `integral` is the sum of `expected` over the number of
+/// samples.
 pub fn pooled_test(expected: &[f64], observed: &[u64]) -> Chi2 {
     assert_eq!(expected.len(), observed.len(), "as many expected as observed counts");
     let total: u64 = observed.iter().sum();
@@ -133,7 +133,7 @@ fn cell_of(d: [f64; 3], cells: Cells) -> usize {
     row * cells.phi + column
 }
 
-/// Mass of `pdf` in each cell, row by row.
+/// Integrates `pdf` over each cell, row by row.
 fn integrate_cells(pdf: &impl Fn([f64; 3]) -> f64, cells: Cells) -> Vec<f64> {
     assert!(cells.theta.is_multiple_of(2) && cells.theta * cells.phi > 1, "an even number of rows");
     let density = |theta: f64, phi: f64| {
@@ -160,7 +160,7 @@ struct Area {
     dp: f64,
 }
 
-/// Splits `area` in four until the halves agree with the whole to 1e-5 of it or to `tolerance`.
+/// Splits `area` in four until the sum of the parts agrees with the whole to 1e-5 of it or to `tolerance`.
 fn adaptive(f: &impl Fn(f64, f64) -> f64, area: Area, whole: f64, tolerance: f64, depth: u32) -> f64 {
     let (dt, dp) = (area.dt / 2.0, area.dp / 2.0);
     let parts = [(0.0, 0.0), (dt, 0.0), (0.0, dp), (dt, dp)].map(|(t, p)| {
@@ -174,7 +174,7 @@ fn adaptive(f: &impl Fn(f64, f64) -> f64, area: Area, whole: f64, tolerance: f64
     parts.into_iter().map(|(part, value)| adaptive(f, part, value, tolerance / 2.0, depth - 1)).sum()
 }
 
-/// Tensor Gauss-Legendre rule of 4 x 4 points (\[dlmf\] 3.5.22).
+/// Integrates with the tensor Gauss-Legendre rule of 4 x 4 points (\[dlmf\] 3.5.22).
 fn gauss(f: &impl Fn(f64, f64) -> f64, area: Area) -> f64 {
     const NODES: [(f64, f64); 4] = [
         (-0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
@@ -198,7 +198,7 @@ mod tests {
 
     const LEVEL: f64 = 1e-3;
 
-    /// SplitMix64: two uniform numbers for draw `i`.
+    /// Returns two uniform numbers for draw `i` (SplitMix64).
     fn uniform(i: u64) -> [f64; 2] {
         let mut draw = [0.0; 2];
         for (k, u) in draw.iter_mut().enumerate() {

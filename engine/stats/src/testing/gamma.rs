@@ -1,8 +1,8 @@
-//! The regularised incomplete gamma function, from which the chi-square and normal tails come.
+//! The regularized incomplete gamma function, which gives the chi-square and normal tails.
 
-/// Upper tail `Q(a, x) = Gamma(a, x) / Gamma(a)` for `a > 0`, `x >= 0`; absolute error below 1e-12 for `a` up to 1e5.
+/// Computes the upper tail `Q(a, x) = Gamma(a, x) / Gamma(a)` for `a > 0`, `x >= 0`; absolute error below 1e-12 for `a` up to 1e5.
 ///
-/// Below `x = a + 1` one minus the power series (\[dlmf\] 8.7.1), above it the continued fraction (\[dlmf\] 8.9.2) by the
+/// Below `x = a + 1` it is one minus the power series (\[dlmf\] 8.7.1). Above, it is the continued fraction (\[dlmf\] 8.9.2) by the
 /// modified Lentz method (\[press2007\]).
 pub fn upper(a: f64, x: f64) -> f64 {
     if x <= 0.0 {

@@ -1,6 +1,6 @@
-//! Statistical tests: does a sampler draw from its density, does an estimator have its mean?
+//! Statistical tests: they check that a sampler draws from its density and that an estimator has its mean.
 //!
-//! A test states its level, and corrects it with [`sidak`] for the number of tests that run beside it.
+//! A test states its level and corrects it with [`sidak`] for the number of tests that run together.
 
 pub mod chi2;
 pub mod gamma;
@@ -9,7 +9,7 @@ pub mod ztest;
 pub use chi2::{Chi2, sphere_test};
 pub use ztest::{Moments, z_test};
 
-/// Level of each of `tests` independent tests so that the chance of any false alarm among them is `level`
+/// Returns the level of each of `tests` independent tests, so that the probability of any false alarm among them is `level`
 /// (\[sidak1967\]): `1 - (1 - level)^(1 / tests)`.
 pub fn sidak(level: f64, tests: usize) -> f64 {
     -libm::expm1(libm::log1p(-level) / tests.max(1) as f64)

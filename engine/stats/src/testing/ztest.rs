@@ -11,7 +11,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Takes `value` in.
+    /// Adds `value`.
     pub fn add(&mut self, value: f64) {
         self.count += 1;
         let delta = value - self.mean;
@@ -19,17 +19,17 @@ impl Moments {
         self.squares += delta * (value - self.mean);
     }
 
-    /// Unbiased variance of the values; 0 for fewer than two.
+    /// Returns the unbiased variance of the values; 0 for fewer than two.
     pub fn variance(&self) -> f64 {
         if self.count < 2 { 0.0 } else { self.squares / (self.count - 1) as f64 }
     }
 
-    /// Standard error of the mean.
+    /// Returns the standard error of the mean.
     pub fn standard_error(&self) -> f64 {
         (self.variance() / self.count.max(1) as f64).sqrt()
     }
 
-    /// Chance that a right estimator of `expected` misses by this much or more (see [`z_test`]).
+    /// Returns the probability that an unbiased estimator of `expected` misses by this much or more (see [`z_test`]).
     pub fn p_value(&self, expected: f64) -> f64 {
         z_test(self.mean, self.standard_error(), expected)
     }
@@ -41,7 +41,7 @@ impl Extend<f64> for Moments {
     }
 }
 
-/// Two-sided p-value of a normal `mean` with `standard_error` under the hypothesis that its expectation is `expected`.
+/// Returns the two-sided p-value of a normal `mean` with `standard_error` under the hypothesis that its expectation is `expected`.
 ///
 /// A standard error of zero gives 1 where the mean is `expected` to 12 digits and 0 elsewhere; NaN gives 0.
 pub fn z_test(mean: f64, standard_error: f64, expected: f64) -> f64 {

@@ -1,4 +1,4 @@
-//! Painted light on made-up images.
+//! Tests of painted light on synthetic images.
 
 mod painted;
 mod search;

@@ -1,4 +1,4 @@
-//! Whole pictures.
+//! Tests of whole pictures.
 
 use crate::world::{guides, style};
 use femc_stylize::{Before, Begun, Example, Method, Planes, Settings, StylizeError, Stylized, Watch, stylize};
@@ -8,7 +8,7 @@ fn painted(source: &Planes, target: &Planes, settings: &Settings) -> Stylized {
     stylize(Example { style: &style(source), guides: source }, target, None, settings, None, &()).expect("a picture")
 }
 
-/// Root of the mean squared difference.
+/// Computes the root of the mean squared difference.
 fn difference(a: &Planes, b: &Planes) -> f32 {
     let sum: f32 = a.values().iter().zip(b.values()).map(|(a, b)| (a - b) * (a - b)).sum();
     (sum / a.values().len() as f32).sqrt()
@@ -103,7 +103,7 @@ fn a_frame_holds_on_to_the_one_before_as_much_as_it_is_told_to() {
     let source = guides(size[0], size[1], [0.5, 0.5], 1);
     let (painting, pixels) = (style(&source), (size[0] * size[1]) as usize);
     let example = Example { style: &painting, guides: &source };
-    // The ball goes 2 pixels to the right and the noise of its light is another one.
+    // The ball moves 2 pixels to the right, and its light has different noise.
     let middles = [0.4, 0.4 + 2.0 / size[0] as f32];
     let [first, second] = [0, 1].map(|at| guides(size[0], size[1], [middles[at], 0.5], 2 + at as u64));
     let painted = stylize(example, &first, None, &Settings::default(), None, &()).expect("a picture");

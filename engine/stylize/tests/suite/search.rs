@@ -1,9 +1,9 @@
-//! The search beside brute force.
+//! Tests that compare the search with brute force.
 
 use crate::world::{guides, style};
 use femc_stylize::{Patches, Settings, Weights, brute_force, search};
 
-/// Mean energy of what the search finds in as many passes as a level has, a part of that by brute force; both are free of prices.
+/// Returns the mean energy of the search, with the default number of passes, relative to brute force; both without prices.
 fn beside_brute_force(width: u32, height: u32) -> f64 {
     let (source, target) = (guides(width, height, [0.5, 0.5], 1), guides(width, height, [0.4, 0.6], 2));
     let settings = Settings::default();
@@ -25,7 +25,7 @@ fn the_search_agrees_with_brute_force() {
     assert!((1.0..1.1).contains(&ratio), "{ratio}");
 }
 
-/// Too long for every run: 96 x 96 pixels by brute force.
+/// Takes too long for every run: 96 x 96 pixels by brute force.
 #[test]
 #[ignore = "a minute"]
 fn the_search_agrees_with_brute_force_in_a_larger_image() {

@@ -1,15 +1,15 @@
-//! Images that are a function of their pixels: a lit ball, and strokes over it.
+//! Procedural test images: a lit ball, and strokes over it.
 
 use femc_math::hash::combine;
 use femc_stylize::Planes;
 
-/// A number in 0..1 of some words.
+/// Hashes words to a number in 0..1.
 pub fn chance(words: &[u64]) -> f32 {
     (combine(words) >> 40) as f32 / (1 << 24) as f32
 }
 
-/// Guides of a ball on a table: its light, its direct light and its highlight, with a little noise.
-/// - `middle`: of the ball, as parts of width and height.
+/// Makes guides of a ball on a table: its light, its direct light and its highlight, with a little noise.
+/// - `middle`: center of the ball, as fractions of width and height.
 pub fn guides(width: u32, height: u32, middle: [f32; 2], seed: u64) -> Planes {
     let radius = 0.3 * width.min(height) as f32;
     let mut values = Vec::new();
@@ -26,7 +26,7 @@ pub fn guides(width: u32, height: u32, middle: [f32; 2], seed: u64) -> Planes {
     Planes::new(width, height, 3, values).expect("an image")
 }
 
-/// A painting of guides: their light as a color, and diagonal strokes.
+/// Makes a painting of guides: their light as a color, and diagonal strokes.
 pub fn style(guides: &Planes) -> Planes {
     let (width, height) = (guides.width() as u32, guides.height() as u32);
     let mut values = Vec::new();

@@ -1,11 +1,12 @@
-//! Irradiance, flux and robustness against closed forms.
+//! Tests of irradiance, flux and robustness against closed forms.
 
 use super::*;
 use femc_math::color::luminance;
 use femc_math::warp;
 use std::f64::consts::PI;
 
-/// Mean of cos / pdf times luminance over jittered samples, and its standard error: the irradiance on a plane at `reference`.
+/// Computes the irradiance on a plane at `reference`, the mean of cos / pdf times luminance over jittered samples, and its standard
+/// error.
 fn irradiance(light: &Light, reference: Vec3A, normal: Vec3A, key: u64) -> (f64, f64) {
     let n = 64u64;
     let (mut sum, mut sum2) = (0.0f64, 0.0f64);
@@ -23,7 +24,7 @@ fn irradiance(light: &Light, reference: Vec3A, normal: Vec3A, key: u64) -> (f64,
     (mean, ((sum2 / count - mean * mean).max(0.0) / count).sqrt())
 }
 
-/// Form factor of a rectangle from a parallel element under its corner: Lambert's contour integral in closed form.
+/// Computes the form factor of a rectangle from a parallel element under its corner: Lambert's contour integral in closed form.
 fn corner(a: f64, b: f64, h: f64) -> f64 {
     let (x, y) = (a / h, b / h);
     let (p, q) = ((1.0 + x * x).sqrt(), (1.0 + y * y).sqrt());
@@ -106,7 +107,8 @@ fn inside_closed_lamps_the_irradiance_is_the_emittance_everywhere() {
 
 #[test]
 fn a_spheres_own_inner_wall_gets_the_emittance_on_whichever_side_it_is_rounded_to() {
-    // The half of the points that were rounded outward saw the near wall instead: 15 percent of the light were missing.
+    // Regression: points that were rounded outward, half of all, saw the near wall instead, and 15 percent of the light was
+    // missing.
     for sides in [Sides::One, Sides::Two] {
         let center = v(1.0, 2.0, 3.0);
         let sphere = Sphere::new(center, -0.7, grey(sides));
@@ -116,7 +118,8 @@ fn a_spheres_own_inner_wall_gets_the_emittance_on_whichever_side_it_is_rounded_t
             let reference = center + outward * 0.7;
             let (e, error) = irradiance(&light, reference, -outward, i);
             assert!((e - 1.0).abs() < 4.0 * error + 1e-4, "{reference}: {e}");
-            // Density and density told agree for the far wall; the near wall, grazed from beside, is never drawn.
+            // The density of the sample and the later density agree for the far wall. The near wall, at a grazing angle, is never
+            // sampled.
             let drawn = light.sample(reference, [0.7, 0.2]).expect("a far wall");
             let told = light.pdf(reference, drawn.position, drawn.normal, drawn.dir);
             assert!((told / drawn.pdf - 1.0).abs() < 1e-4, "{told} {}", drawn.pdf);
@@ -135,7 +138,7 @@ fn a_coaxial_disc_gives_its_sine_squared() {
     }
 }
 
-/// Mean of the flux through a large sphere about a light: by the irradiance at random points of that sphere.
+/// Computes the mean flux through a large sphere about a light, from the irradiance at random points of that sphere.
 fn flux_outside(light: &Light, key: u64) -> (f64, f64) {
     let (radius, n) = (50.0f32, 60_000u64);
     let (mut sum, mut sum2) = (0.0f64, 0.0f64);
@@ -154,7 +157,7 @@ fn flux_outside(light: &Light, key: u64) -> (f64, f64) {
 #[test]
 fn the_power_is_the_flux_through_a_surrounding_sphere() {
     for (k, case) in cases().iter().enumerate() {
-        // Lights that shine inward or hide part of themselves send less than they emit; a caller's rays would tell.
+        // Lights that shine inward or hide part of themselves send less than they emit; the caller's rays would find the occlusion.
         let concave = ["hollow sphere", "two-sided sphere", "cylinder", "torus", "funnel"].contains(&case.name);
         let (flux, error) = flux_outside(&case.light, 40 + k as u64);
         let power = f64::from(case.light.power());

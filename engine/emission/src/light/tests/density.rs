@@ -1,16 +1,17 @@
-//! Samples against densities. The density over directions is asked for at what the reference tracer meets, over a fine grid
-//! of the cone about the light, so that the silhouettes, which are no borders of cells, cost a per mille only.
+//! Tests of samples against densities. The density over directions is evaluated at the hits of the reference tracer, over a fine
+//! grid of the cone about the light. Silhouettes do not follow cell borders; with the fine grid they cost only a per mille.
 
 use super::*;
 use femc_math::warp;
 use femc_stats::testing::chi2::pooled_test;
 use femc_stats::testing::sidak;
 
-/// Cells of the cone by 1 - cos and by azimuth.
+/// Number of cells of the cone, by 1 - cos and by azimuth.
 const CELLS: usize = 12;
 const SAMPLES: u64 = 10_000;
 
-/// Lights sampled by area draw hidden points too; those sampled by direction draw the nearest only.
+/// Points that a light can sample. Lights sampled by area also draw hidden points; those sampled by direction draw only the
+/// nearest.
 #[derive(Clone, Copy, PartialEq)]
 enum Drawn {
     Every,
@@ -25,7 +26,7 @@ fn drawn_points(light: &Light) -> Drawn {
     }
 }
 
-/// Density of `sample` in direction `dir`: the sum over the points that it can draw there.
+/// Computes the density of `sample` in direction `dir`: the sum over the points that it can draw there.
 fn density(case: &Case, reference: Vec3A, dir: Vec3A) -> f64 {
     let shining = tracer::crossings(&case.patches, reference.as_dvec3(), dir.as_dvec3())
         .into_iter()
@@ -40,7 +41,7 @@ fn density(case: &Case, reference: Vec3A, dir: Vec3A) -> f64 {
     }
 }
 
-/// The cone about the directions that a light's samples take: axis and 1 - cos of the half angle, with a margin.
+/// Returns the cone about the directions of a light's samples: axis and 1 - cos of the half angle, with a margin.
 fn cone_of(light: &Light, reference: Vec3A) -> Option<(Frame, f32)> {
     let frame = Frame::from_normal((light.center() - reference).normalize_or(Vec3A::Z));
     let widest = (0..4000)
@@ -65,7 +66,7 @@ fn samples_follow_the_density_for_every_light_from_near_far_and_inside() {
                 row * CELLS + ((azimuth * CELLS as f32) as usize).min(CELLS - 1)
             };
             let mut expected = vec![0.0; CELLS * CELLS];
-            // Grid points along a cell: more where the density is singular at the silhouette, as 1 / cos is.
+            // Grid points along a cell. More are needed where the density is singular at the silhouette, like 1 / cos.
             let fine = CELLS
                 * match drawn_points(&case.light) {
                     Drawn::Every => 44,
@@ -87,11 +88,12 @@ fn samples_follow_the_density_for_every_light_from_near_far_and_inside() {
             }
             let integral: f64 = expected.iter().sum();
             let drawn: u64 = observed.iter().sum();
-            // Samples that fail (drawn on the dark side) are what the density lacks from 1: 1 % for the grid, and their noise.
+            // The density lacks the share of failed samples (drawn on the dark side). Allow 1 % for the grid, and the noise.
             let share = drawn as f64 / SAMPLES as f64;
             let noise = 4.0 * (share * (1.0 - share) / SAMPLES as f64).sqrt();
             assert!((integral - share).abs() < 0.01 + noise, "{what}: density {integral}, share drawn {share}");
-            // Cells that the grid saw next to nothing of join their like; the grid's own error is far below the counts' noise.
+            // Cells where the grid expects almost nothing are left out. In the others, the grid's own error is far below the noise
+            // of the counts.
             for (e, o) in expected.iter_mut().zip(&mut observed) {
                 if *e * (SAMPLES as f64) < 0.5 {
                     (*e, *o) = (0.0, 0);

@@ -1,4 +1,4 @@
-//! Laws that every light obeys. Random numbers are hashes of fixed keys; levels are divided by the number of tests.
+//! Tests of laws that hold for every light. Random numbers are hashes of fixed keys; levels are divided by the number of tests.
 
 mod closed_forms;
 mod density;
@@ -11,7 +11,7 @@ use femc_math::hash::{combine, unit_f32};
 use std::sync::Arc;
 use tracer::Patch;
 
-/// Chance of a false alarm of one whole test function.
+/// Probability of a false alarm of one whole test function.
 const LEVEL: f64 = 1e-3;
 
 fn uniform_pair(seed: u64, i: u64) -> [f32; 2] {
@@ -26,7 +26,7 @@ fn v(x: f32, y: f32, z: f32) -> Vec3A {
     Vec3A::new(x, y, z)
 }
 
-/// An intensity that changes with both angles and is nowhere zero.
+/// Makes an intensity that changes with both angles and is nowhere zero.
 fn distribution() -> Arc<IntensityDistribution> {
     let vertical: Vec<f64> = (0..=12).map(|i| f64::from(i) * 15.0).collect();
     let horizontal = [0.0, 45.0, 90.0];
@@ -48,14 +48,14 @@ fn luminaire(solid: Solid) -> PhotometricSolid {
     }
 }
 
-/// A light and its surface as the reference tracer knows it.
+/// A light and its surface in the form of the reference tracer.
 struct Case {
     name: &'static str,
     light: Light,
     patches: Vec<Patch>,
 }
 
-/// Every kind of light about the origin, a metre or so in size.
+/// Makes every kind of light about the origin, about a meter in size.
 fn cases() -> Vec<Case> {
     let (one, two) = (emission(Sides::One), emission(Sides::Two));
     let lobe = Emission { profile: Profile::Lobe { exponent: 6.0 }, ..one };

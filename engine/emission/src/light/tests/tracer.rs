@@ -1,4 +1,4 @@
-//! A slow reference tracer: what a ray meets of a light's surface, with front normals.
+//! A slow reference tracer: the hits of a ray on a light's surface, with front normals.
 
 use super::Face;
 use femc_math::glam::{DVec3, Vec3A};
@@ -13,7 +13,7 @@ pub enum Patch {
     Torus { center: Vec3A, axis: Vec3A, radii: [f32; 2] },
 }
 
-/// A crossing: distance, and the front normal.
+/// A crossing: distance and front normal.
 pub type Crossing = (f64, DVec3);
 
 impl Patch {
@@ -31,7 +31,7 @@ impl Patch {
         }
     }
 
-    /// All crossings of the line `origin + t dir`, t > 0, in no order.
+    /// Returns all crossings of the line `origin + t dir`, t > 0, in no order.
     pub fn crossings(&self, origin: DVec3, dir: DVec3) -> Vec<Crossing> {
         let mut hits = match self {
             Self::Triangle(vertices) => triangle(origin, dir, vertices.map(|p| p.as_dvec3())),
@@ -55,7 +55,7 @@ impl Patch {
     }
 }
 
-/// Crossings of all patches, nearest first.
+/// Returns the crossings of all patches, nearest first.
 pub fn crossings(patches: &[Patch], origin: DVec3, dir: DVec3) -> Vec<Crossing> {
     let mut hits: Vec<Crossing> = patches.iter().flat_map(|p| p.crossings(origin, dir)).collect();
     hits.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -70,7 +70,7 @@ fn triangle(origin: DVec3, dir: DVec3, [a, b, c]: [DVec3; 3]) -> Vec<Crossing> {
     if inside(a, b) && inside(b, c) && inside(c, a) { vec![(t, n.normalize())] } else { vec![] }
 }
 
-/// Roots of a t^2 + 2 b t + c.
+/// Returns the roots of a t^2 + 2 b t + c.
 fn roots(a: f64, b: f64, c: f64) -> Vec<f64> {
     let d = b * b - a * c;
     if d < 0.0 { vec![] } else { vec![(-b - d.sqrt()) / a, (-b + d.sqrt()) / a] }
@@ -97,7 +97,7 @@ fn cone(o: DVec3, dir: DVec3, along: DVec3, [r0, r1]: [f64; 2]) -> Vec<Crossing>
         .collect()
 }
 
-/// Marched by 1/60 m near the centre and bisected; slivers thinner than a step are missed.
+/// Intersects a torus by marching in steps of 1/60 m near the center and bisecting; slivers thinner than a step are missed.
 fn torus(o: DVec3, dir: DVec3, axis: DVec3, [inner, outer]: [f64; 2]) -> Vec<Crossing> {
     let (major, minor) = (0.5 * (inner + outer), 0.5 * (outer - inner));
     let ring = |p: DVec3| p - axis * p.dot(axis);

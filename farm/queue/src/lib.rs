@@ -255,7 +255,7 @@ pub enum QueueError {
     /// A log of this kind must be copied with other tools.
     #[error("this log is not copied by the coordinator: {instead}")]
     NoCopy {
-        /// How to copy this kind of log.
+        /// Tool or command that copies this kind of log.
         instead: &'static str,
     },
     /// The log cannot be read or written.

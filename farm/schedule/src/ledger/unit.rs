@@ -1,4 +1,4 @@
-//! A frame in work, or the job's own stages: what is done of each stage, and what went wrong.
+//! Frame progress: the finished runs and the failures of each stage of a frame, or of the job's own stages.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -15,30 +15,30 @@ use super::shape::{Place, Shape, read_by};
 use super::trouble::Trouble;
 use crate::{Casualty, RangeSet};
 
-/// A run of grains that is done, and the lease that did it.
+/// A finished run of sample chunks, with its lease.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
     end: u32,
     epoch: Epoch,
-    /// Those that are needed yet; mostly there is one.
+    /// Outputs that are still needed, in most cases one.
     outputs: SmallVec<[Output; 1]>,
 }
 
-/// What is done of a stage in one round.
+/// Finished work of a stage in one round.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Array {
-    /// Runs of grains of whose outputs some are needed yet, by their first key.
+    /// Finished runs with outputs that are still needed, by their first key.
     rows: BTreeMap<u32, Row>,
-    /// Grains that are done and of whose outputs none is needed any more.
+    /// Finished sample chunks whose outputs are no longer needed.
     released: RangeSet,
-    /// Bad samples of the runs that have any, by their first key.
+    /// Number of bad samples of the runs that have any, by their first key.
     bad: BTreeMap<u32, u64>,
-    /// Tasks of which all is done.
+    /// Tasks that are completely done.
     whole: RangeSet,
 }
 
 impl Array {
-    /// Before anything of it is done: a task without steps has nothing to do.
+    /// Creates the state before any work is done. Tasks without steps count as done.
     fn fresh(grains: &Grains<'_>) -> Self {
         let is_idle = |task: &u32| grains.of_task(*task).is_empty();
         let mut whole = RangeSet::default();
@@ -61,38 +61,38 @@ impl Array {
             || done + keys.filter(|&key| self.released.contains(key)).count() == grains.of_task(task).len()
     }
 
-    /// Whether some of these grains are done.
+    /// Checks whether some of these sample chunks are done.
     fn holds_any(&self, run: &Range<u32>) -> bool {
         let before = self.rows.range(..run.end).next_back();
         before.is_some_and(|(_, row)| row.end > run.start) || self.released.touches(run)
     }
 }
 
-/// A frame of which something is done or has failed; or the job's own stages.
+/// Progress of a frame with a result or failure, or of the job's own stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Unit {
-    /// Round of its loop.
+    /// Present round of its loop.
     pub(crate) round: u32,
     /// Whether its loop is over, or it has none.
     is_over: bool,
-    /// First lease of a task that was completed.
+    /// Time of the first lease of a completed task.
     pub(crate) began: Tick,
     arrays: BTreeMap<Place, Array>,
-    /// Steps of the rounds in which tasks differ.
+    /// Steps of the rounds in which they differ between tasks.
     uneven: BTreeMap<u32, Uneven>,
-    /// By stage, round and key. What joins fails in all rounds under one name: so a frame whose inputs are lost again and again
-    /// ends.
+    /// Failures by stage, round and key. Failures of join tasks are counted together for all rounds, so that a frame whose inputs
+    /// are lost again and again ends.
     trouble: BTreeMap<(u16, u32, u32), Trouble>,
-    /// Of the task that decided what followed the round before.
+    /// Epoch of the task that decided how the loop continues after the previous round.
     decided: Option<Epoch>,
-    /// Units of work done, in all rounds.
+    /// Finished units of work in all rounds.
     pub(crate) units: u64,
     pub(crate) bad_samples: u64,
     pub(crate) busy_seconds: f64,
     pub(crate) relative_error: Option<f64>,
     #[serde(deserialize_with = "femc_model::since_version_9")]
     pub(crate) blocks: Option<Blocks>,
-    /// It was finished before, and something of it is gone.
+    /// Whether it was finished before and one of its results was lost.
     pub(crate) is_again: bool,
 }
 
@@ -115,12 +115,12 @@ impl Unit {
         }
     }
 
-    /// A finished one of which something is gone; nobody has begun it again.
+    /// Creates the progress of a formerly finished frame of which a result was lost. It has not begun again.
     pub(super) fn again(shape: &Shape<'_>, record: &FrameRecord) -> Self {
         Self { busy_seconds: record.busy_seconds, is_again: true, ..Self::new(shape, Tick(u64::MAX)) }
     }
 
-    /// It begins anew; what went wrong is remembered.
+    /// Restarts it; its failures are kept.
     pub(super) fn restarted(&mut self, shape: &Shape<'_>) -> Vec<Digest> {
         let released = self.artifacts().collect();
         let trouble = std::mem::take(&mut self.trouble);
@@ -128,7 +128,7 @@ impl Unit {
         released
     }
 
-    /// The stages that there are now, each in its rounds.
+    /// Returns the present stages, each in its rounds.
     pub(crate) fn places(&self, shape: &Shape<'_>) -> impl DoubleEndedIterator<Item = Place> {
         let (around, last, is_over) = (shape.around, self.round, self.is_over);
         let stages = shape.graph.of(shape.scope);
@@ -146,37 +146,37 @@ impl Unit {
         grains(&self.uneven, shape, place)
     }
 
-    /// Whether every task of a stage is done.
+    /// Checks whether every task of a stage is done.
     pub(crate) fn is_complete(&self, shape: &Shape<'_>, place: Place) -> bool {
         let Some(grains) = self.grains(shape, place) else { return false };
         self.arrays.get(&place).is_some_and(|array| array.is_complete(&grains))
     }
 
-    /// Whether all is done.
+    /// Checks whether everything is done.
     pub(super) fn is_finished(&self, shape: &Shape<'_>) -> bool {
         self.is_over && self.places(shape).all(|place| self.is_complete(shape, place))
     }
 
-    /// Tasks of a stage that are done.
+    /// Returns the number of finished tasks of a stage.
     pub(crate) fn tasks_done(&self, place: Place) -> u32 {
         self.arrays.get(&place).map_or(0, |array| array.whole.count())
     }
 
-    /// Whether a task of a stage is done.
+    /// Checks whether a task of a stage is done.
     pub(crate) fn is_done(&self, place: Place, item: u32) -> bool {
         self.are_done(place, item..item + 1)
     }
 
-    /// Whether all of these tasks of a stage are done.
+    /// Checks whether all of these tasks of a stage are done.
     fn are_done(&self, place: Place, items: Range<u32>) -> bool {
         items.is_empty() || self.arrays.get(&place).is_some_and(|array| array.whole.covers(&items))
     }
 
-    /// Whether all that a task reads is there.
+    /// Checks whether all inputs of a task exist.
     pub(crate) fn has_inputs(&self, shape: &Shape<'_>, place: Place, item: u32) -> bool {
         let Some(template) = shape.template(place.1) else { return false };
         template.needs.iter().all(|need| match shape.template(need.stage) {
-            // What frames share is there or not for each worker: see `shared.rs`.
+            // Whether the outputs of a shared job exist depends on the worker: see `shared.rs`.
             None if shape.scope != Scope::Job => true,
             None => shape.are_frames_there(item, need),
             Some(_) => {
@@ -186,8 +186,8 @@ impl Unit {
         })
     }
 
-    /// What a task reads, in order of need, frame and task.
-    /// - `shared`: what is done for the frame's content.
+    /// Returns the inputs of a task, in order of need, frame and task.
+    /// - `shared`: shared job of the frame's content.
     pub(crate) fn inputs(&self, shape: &Shape<'_>, place: Place, item: u32, shared: Option<&Job>) -> Vec<Input> {
         let mut inputs = Vec::new();
         let Some(template) = shape.template(place.1) else { return inputs };
@@ -217,7 +217,7 @@ impl Unit {
         inputs
     }
 
-    /// Steps that each task which is cut has taken in all, of those that the inputs of a task are made of.
+    /// Returns the number of steps taken so far by each divided task that the inputs of a task are made from.
     pub(crate) fn taken(&self, shape: &Shape<'_>, place: Place, item: u32) -> Taken {
         let cut_sources =
             if shape.is_cut(place.1) { None } else { self.cut_sources(shape, place, item..item + 1, &mut 0) };
@@ -228,8 +228,8 @@ impl Unit {
         items.map(|item| grains.steps_of(item).end).collect()
     }
 
-    /// The tasks which are cut that these tasks of a stage are made of, and their stage in its round.
-    /// - `seen`: the stages that were looked at, a bit each.
+    /// Returns the divided tasks that these tasks of a stage are made from, and their stage in its round.
+    /// - `seen`: visited stages, one bit each.
     fn cut_sources(
         &self,
         shape: &Shape<'_>,
@@ -251,7 +251,8 @@ impl Unit {
         })
     }
 
-    /// Whether a result of this run of grains counts: it is of one task, in a round that has begun, and nothing of it is done.
+    /// Checks whether a result of this run of sample chunks would count: the run lies within one task, its round has begun, and
+    /// none of it is done.
     pub(super) fn may_count(&self, shape: &Shape<'_>, place: Place, run: &Range<u32>) -> bool {
         let is_done = || self.arrays.get(&place).is_some_and(|array| array.holds_any(run));
         let is_of_one = |grains: Grains<'_>| !run.is_empty() && run.end <= grains.of_task(grains.task(run.start)).end;

@@ -87,7 +87,7 @@ impl Scheduler {
         shared.filter(move |(_, shared)| shared.shared.as_ref().is_some_and(|it| keys.contains(&it.key)))
     }
 
-    /// Returns the records of a job's finished frames, ascending, and of the finished stages of the job as a whole.
+    /// Returns the records of a job's finished frames, ascending; that of the job's own stages, if finished, comes first.
     pub fn frames(&self, id: JobId) -> Result<Vec<FrameRecord>, Refusal> {
         Ok(self.job(id)?.finished.values().map(|finished| finished.record.clone()).collect())
     }

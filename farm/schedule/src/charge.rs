@@ -20,7 +20,7 @@ impl Scheduler {
 
     /// Adds the expected milliseconds of a new lease to the claims of the job's owner.
     pub(crate) fn claim(&mut self, job: JobId, milliseconds: u64) {
-        // Shared jobs are charged to all jobs that share them, as time is used.
+        // The time of a shared job is charged to the owners of all jobs that share it, as it is used.
         let Some(job) = self.ledger.jobs.get(&job).filter(|known| known.shared.is_none()) else { return };
         self.order.claim(&job.spec.owner, milliseconds, self.config.weight(&job.spec.owner));
     }

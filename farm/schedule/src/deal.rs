@@ -83,7 +83,8 @@ impl Scheduler {
         }
     }
 
-    /// Searches the open frames like [`Self::pick`]. Returns instead a job of which another frame must be opened first.
+    /// Searches the open frames like [`Self::pick`]. Continues with a job if another of its frames must be opened before the result
+    /// is known.
     fn pick_open(&self, id: WorkerId, lane: Lane, now: Tick) -> ControlFlow<Pick, JobId> {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.table.workers.get(&id) else { return ControlFlow::Break(best) };

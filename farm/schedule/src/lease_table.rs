@@ -464,7 +464,7 @@ impl LeaseTable {
     }
 
     /// Checks whether an expired lease was stalled although its worker is alive. Returns that worker, and the seconds without
-    /// progress. A lease that expired because heartbeats were lost on the way is nobody's fault.
+    /// progress. A lease that expired because heartbeats were lost on the way was not stalled.
     pub(crate) fn stalled(&self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(WorkerId, u64)> {
         let lease = self.leases.get(key)?;
         let still = now.since(lease.moved);

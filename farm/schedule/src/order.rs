@@ -55,8 +55,8 @@ impl Order {
     }
 
     /// Inserts a job. An owner without jobs is raised to the level of the present owner who has used the least, or, if there is no
-    /// present owner, of the owner who has used the most so far. So absence saves up nothing, and nobody is shut out for having
-    /// come first.
+    /// present owner, of the owner who has used the most so far. So an absent owner saves up no time, and an owner who came first
+    /// is not blocked until a new owner has used as much.
     pub(crate) fn insert(&mut self, job: JobId, priority: u8, owner: &str) {
         if self.places.get(&job).is_some_and(|(p, o)| *p == priority && o == owner) {
             return;

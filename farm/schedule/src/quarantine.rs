@@ -40,7 +40,7 @@ impl WorkerQuarantine {
     /// Number of different failed tasks that quarantine a worker.
     const TASKS: usize = 3;
 
-    /// Counts a failure that is probably the worker's or the task's own fault.
+    /// Counts a failed attempt of a task on this worker.
     pub(crate) fn failed(&mut self, worker: Instance, task: TaskKey, config: &Config, now: Tick) {
         let record = self.records.entry(worker).or_default();
         record.tasks.insert(task);

@@ -1,8 +1,8 @@
 //! The roster of known workers: their names and numbers, the tasks that they have completed, and the times of their last contacts.
 //!
-//! When a session ends, nobody knows whether its worker will return. So a name is kept for a month, also across restarts of the
-//! coordinator, as a note beside the log; no fact depends on it. After a kill, a coordinator knows last contacts and counts from
-//! its last note. A returning worker gets its old number, and its counts continue.
+//! When a session ends, its worker may return or not. So a name is kept for a month, also across restarts of the coordinator, as a
+//! note beside the log; no fact depends on it. A coordinator that starts after a kill knows last contacts and counts as of its last
+//! note. A returning worker gets its old number, and its counts continue.
 
 use std::collections::{BTreeMap, BTreeSet};
 

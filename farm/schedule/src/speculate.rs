@@ -13,8 +13,8 @@ impl Scheduler {
     /// Multiple of the expected duration after which a task is late.
     const LATE: u64 = 2;
 
-    /// Leases late tasks a second time to idle workers, the latest first. These workers have no ready tasks; otherwise they would
-    /// have got one.
+    /// Leases late tasks a second time to idle workers, the most delayed first. These workers have no ready tasks; otherwise they
+    /// would have got one.
     pub(crate) fn speculate(&mut self, now: Tick, out: &mut Vec<Command>) {
         if now < self.deals_from {
             return;
@@ -37,7 +37,7 @@ impl Scheduler {
         }
     }
 
-    /// Returns the late leases of a lane without a copy, in their jobs' order of service, the latest first.
+    /// Returns the late leases of a lane without a copy, in their jobs' order of service, the most delayed first.
     fn late(&self, lane: Lane, now: Tick) -> Vec<LeaseKey> {
         let mut all = Vec::new();
         let shared = self.ledger.all_shared().filter(|(_, shared)| self.is_wanted(shared)).map(|(id, _)| id);

@@ -34,8 +34,8 @@ impl Trouble {
         self.attempts >= ATTEMPTS || self.is_deadly()
     }
 
-    /// Checks whether the task has killed too many workers. Presumed deaths may be the fault of one machine: they count only
-    /// together with deaths of another worker.
+    /// Checks whether the task has killed too many workers. Five known deaths are enough. If some of the five are only presumed,
+    /// they must be of more than one worker, because a single machine may be the cause.
     fn is_deadly(&self) -> bool {
         let known = self.deaths.iter().filter(|death| death.evidence == Evidence::Journal).count();
         let workers: BTreeSet<&str> = self.deaths.iter().map(|death| death.worker.as_str()).collect();

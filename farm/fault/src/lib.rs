@@ -1,15 +1,15 @@
-//! For tests of the real programs: a process that stands still at a chosen place, so that it can be killed just there.
+//! Fault injection for tests of the real programs: a process stops at a chosen point, so that a test can kill it there.
 //!
-//! `FEMC_FAULT=POINT:N:FILE` makes the N-th passage of a point write a token, FILE, to disk and wait there for as long as
-//! FILE exists. Who sees the token kills or stops the process, cuts its links, or removes the token to let it go on. It is
-//! one passage that waits; the process's other threads and tasks go on.
+//! `FEMC_FAULT=POINT:N:FILE` makes the N-th pass of a point write a token, FILE, to disk and wait there until FILE is removed. A
+//! test that sees the token kills or stops the process, cuts its links, or removes the token to let the process resume. Only that
+//! pass waits; the process's other threads and tasks keep running.
 //!
 //! `FEMC_DEADLY=TASK` makes a worker die whenever it begins this task.
 //!
 //! `FEMC_SICK=yes` makes every task of a worker panic.
 //!
-//! `FEMC_PRETEND=protocol=3,engine=another` makes a worker say that it is of another version, `FEMC_PRETEND=fan=3` a client that
-//! a frame's tiles are reduced in threes: see [`pretended`].
+//! `FEMC_PRETEND=protocol=3,engine=another` makes a worker report another version. `FEMC_PRETEND=fan=3` makes a client plan that a
+//! frame's tiles are reduced in threes: see [`pretended`].
 //!
 //! Builds without debug assertions have none of this.
 #![deny(missing_docs)]
@@ -29,13 +29,13 @@ use std::time::Duration;
 pub use point::Point;
 pub use pretense::{Pretense, pretended};
 
-/// The variable that names the fault.
+/// Name of the environment variable that selects the fault.
 pub const VARIABLE: &str = "FEMC_FAULT";
 
-/// Between two looks at whether the token is still there.
+/// Time between two checks whether the token still exists.
 const LOOK: Duration = Duration::from_millis(2);
 
-/// A passage of `point` on a thread that may block.
+/// Passes `point` on a thread that may block.
 pub fn pass(point: Point) {
     if let Some(token) = fires(point) {
         while token.exists() {
@@ -44,7 +44,7 @@ pub fn pass(point: Point) {
     }
 }
 
-/// A passage of `point` in a task; the thread is free meanwhile.
+/// Passes `point` in an asynchronous task; the thread is free while the task waits.
 pub async fn pass_async(point: Point) {
     if let Some(token) = fires(point) {
         while token.exists() {
@@ -53,27 +53,27 @@ pub async fn pass_async(point: Point) {
     }
 }
 
-/// A task begins: if it is the one that was named to kill its worker, the process is gone at once.
+/// Aborts the process if `FEMC_DEADLY` names this task. Call it when the task begins.
 pub fn dies_of(task: &impl fmt::Display) {
-    /// Read at the first task.
+    /// Value of `FEMC_DEADLY`, read at the first task.
     static ASKED: LazyLock<Option<String>> = LazyLock::new(|| std::env::var("FEMC_DEADLY").ok());
     if cfg!(debug_assertions) && ASKED.as_ref().is_some_and(|deadly| *deadly == task.to_string()) {
         std::process::abort();
     }
 }
 
-/// A task begins: it panics on a worker that was asked to be sick.
+/// Panics if `FEMC_SICK` is set. Call it when a task begins.
 pub fn panics_if_sick() {
-    /// Read at the first task.
+    /// Whether `FEMC_SICK` is set, read at the first task.
     static ASKED: LazyLock<bool> = LazyLock::new(|| std::env::var_os("FEMC_SICK").is_some());
     if cfg!(debug_assertions) && *ASKED {
         panic!("every task fails on this worker, as FEMC_SICK asks");
     }
 }
 
-/// The token, if this is the passage that was asked for.
+/// Counts a pass of `point`. Writes and returns the token if this is the pass that `FEMC_FAULT` names.
 fn fires(point: Point) -> Option<&'static Path> {
-    /// Read at the first passage.
+    /// Fault of `FEMC_FAULT`, read at the first pass.
     static ASKED: LazyLock<Option<Fault>> = LazyLock::new(Fault::asked);
     if !cfg!(debug_assertions) {
         return None;
@@ -86,7 +86,7 @@ fn fires(point: Point) -> Option<&'static Path> {
     })
 }
 
-/// Writes the token, durable when this returns.
+/// Writes the token; it is durable when this returns.
 fn write(token: &Path, point: Point) -> io::Result<()> {
     let new = token.with_extension("new");
     let mut file = File::create_new(&new)?;
@@ -95,7 +95,7 @@ fn write(token: &Path, point: Point) -> io::Result<()> {
     fs::rename(&new, token)
 }
 
-/// A test that asks for the impossible shall not pass.
+/// Ends the process with an error: a test with an invalid fault must not pass.
 fn refuse(message: &str) -> ! {
     eprintln!("{VARIABLE}: {message}");
     std::process::exit(2)
@@ -104,13 +104,13 @@ fn refuse(message: &str) -> ! {
 #[derive(Debug)]
 struct Fault {
     point: Point,
-    /// From 1 on.
+    /// Number of the pass that waits, from 1.
     passage: u64,
     token: PathBuf,
     passed: AtomicU64,
 }
 
-/// Why a text names no fault.
+/// Error for a text that is not a valid fault.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no fault; write POINT:N:FILE, with N from 1")]
 struct NoFault(String);

@@ -1,17 +1,17 @@
-//! Processes that say that they are of another version than they are.
+//! Pretended versions: processes that report other values than their own.
 
 use std::sync::LazyLock;
 
-/// What a process may be made to say.
+/// A value that a process can be made to report falsely.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pretense {
-    /// The version of its protocol.
+    /// Version of the protocol.
     Protocol,
-    /// The build of its engine.
+    /// Build of the engine.
     Engine,
-    /// Tiles of a group, of a client: small frames have groups, too.
+    /// Number of tiles in a group, for a client: this gives small frames groups, too.
     Fan,
-    /// Blocks of a first pass, of a client: those of small scenes are cut, too.
+    /// Number of blocks of a first pass, for a client: this splits the first pass of small scenes, too.
     Blocks,
 }
 
@@ -26,7 +26,7 @@ impl Pretense {
     }
 }
 
-/// What the process is to say instead of the truth, by `FEMC_PRETEND`; `None`: the truth.
+/// Returns the value of `what` in `FEMC_PRETEND`; `None`: the process reports its true value.
 pub fn pretended(what: Pretense) -> Option<&'static str> {
     static ASKED: LazyLock<String> = LazyLock::new(|| std::env::var("FEMC_PRETEND").unwrap_or_default());
     if !cfg!(debug_assertions) {

@@ -1,4 +1,4 @@
-//! Numbers that only grow. Clones share them; counting takes no lock that is held for long, and never waits.
+//! Counters and histograms. Clones share the values. Counting never waits and holds locks only briefly.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,57 +10,57 @@ use std::time::Duration;
 pub struct Counter(Arc<AtomicU64>);
 
 impl Counter {
-    /// So many more.
+    /// Adds `more`.
     pub fn add(&self, more: u64) {
         self.0.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// Until now.
+    /// Returns the count so far.
     pub fn get(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Time that only grows, to the nanosecond.
+/// A duration that only grows, counted in nanoseconds.
 #[derive(Debug, Clone, Default)]
 pub struct Seconds(Counter);
 
 impl Seconds {
-    /// So much more; what is no time (negative, not finite) is none.
+    /// Adds `seconds`; negative values and NaN add nothing.
     pub fn add(&self, seconds: f64) {
-        // The cast saturates, and makes 0 of what is no number.
+        // The cast saturates and turns NaN into 0.
         self.0.add((seconds * 1e9) as u64);
     }
 
-    /// Until now.
+    /// Returns the seconds so far.
     pub fn get(&self) -> f64 {
         self.0.get() as f64 / 1e9
     }
 }
 
-/// Counters by what they count.
+/// A counter per key.
 #[derive(Debug, Clone)]
 pub struct Tally<K>(Arc<Mutex<BTreeMap<K, u64>>>);
 
 impl<K: Ord + Clone> Tally<K> {
-    /// With these keys at 0: a series that appears with its first event hides that event from whoever asks for its rate.
+    /// Creates a tally with these keys at 0. If a series appeared only with its first event, a rate query would miss that event.
     pub fn of(keys: impl IntoIterator<Item = K>) -> Self {
         Self(Arc::new(Mutex::new(keys.into_iter().map(|key| (key, 0)).collect())))
     }
 
-    /// So many more.
+    /// Adds `more` to the counter of `key`.
     pub fn add(&self, key: K, more: u64) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(key).or_default() += more;
     }
 
-    /// Until now, in the order of the keys.
+    /// Returns the counts so far, in the order of the keys.
     pub fn get(&self) -> Vec<(K, u64)> {
         let counts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         counts.iter().map(|(key, count)| (key.clone(), *count)).collect()
     }
 }
 
-/// How often something took how long.
+/// A histogram of durations.
 #[derive(Debug, Clone)]
 pub struct Histogram(Arc<Buckets>);
 
@@ -68,23 +68,23 @@ pub struct Histogram(Arc<Buckets>);
 struct Buckets {
     /// Upper bounds in seconds, ascending.
     bounds: &'static [f64],
-    /// One a bound, and one for what is above them all.
+    /// One count per bound, and one for durations above all bounds.
     counts: Vec<AtomicU64>,
     sum: Seconds,
 }
 
 impl Histogram {
-    /// From a tenth of a millisecond to ten seconds: what a disk or a call takes.
+    /// Bounds from 0.1 ms to 10 s, for disk writes and calls.
     pub const LATENCIES: &'static [f64] =
         &[0.0001, 0.000_25, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0];
 
-    /// With these upper bounds, in seconds, ascending.
+    /// Creates a histogram with these upper bounds, in seconds, ascending.
     pub fn new(bounds: &'static [f64]) -> Self {
         let counts = (0..=bounds.len()).map(|_| AtomicU64::new(0)).collect();
         Self(Arc::new(Buckets { bounds, counts, sum: Seconds::default() }))
     }
 
-    /// Something took so long.
+    /// Records one duration.
     pub fn note(&self, took: Duration) {
         let seconds = took.as_secs_f64();
         let place = self.0.bounds.partition_point(|bound| *bound < seconds);
@@ -92,7 +92,7 @@ impl Histogram {
         self.0.sum.add(seconds);
     }
 
-    /// Upper bounds, the last one infinite, with the number of what took at most so long.
+    /// Returns each upper bound, the last one infinite, with the number of durations that do not exceed it.
     pub(crate) fn cumulated(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
         let bounds = self.0.bounds.iter().copied().chain([f64::INFINITY]);
         bounds.zip(&self.0.counts).scan(0, |sum, (bound, count)| {

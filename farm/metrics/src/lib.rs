@@ -1,8 +1,8 @@
-//! What operators watch: counters, histograms, the page that Prometheus reads, and the small server that shows it.
+//! Metrics for operators: counters, histograms, the page that Prometheus reads, and the small HTTP server of that page.
 //!
-//! The page is Prometheus' text format 0.0.4, written by hand: most of what the farm exports is a look at its state at the
-//! time of asking, for which a registry of objects would only be a second copy. What is left of a library is the format,
-//! which is a page of code; `testing` has a reader of it that takes nothing else.
+//! The page has Prometheus' text format 0.0.4 and is written by hand. Most exported values are read from the farm's state when the
+//! page is requested; a registry of metric objects would only hold a second copy of them. Without a registry, a library would
+//! contribute only the format, which is one page of code. `testing` has a strict reader of the format.
 #![deny(missing_docs)]
 
 mod count;

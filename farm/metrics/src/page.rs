@@ -1,27 +1,27 @@
-//! A page in Prometheus' text format, version 0.0.4.
+//! Pages in Prometheus' text format, version 0.0.4.
 
 use std::fmt::Write as _;
 
 use crate::count::Histogram;
 
-/// A page, as it is being written. Names follow Prometheus' conventions: `femc_`, then what it is, then its unit; what only
-/// grows ends with `_total`.
+/// A page under construction. Names follow Prometheus' conventions: `femc_`, then the quantity, then its unit; the names of
+/// counters end with `_total`.
 #[derive(Debug, Default)]
 pub struct Page(String);
 
 impl Page {
-    /// Something that goes up and down.
+    /// Begins a metric whose value rises and falls.
     pub fn gauge(&mut self, name: &'static str, help: &str) -> Family<'_> {
         self.family(name, "gauge", help)
     }
 
-    /// Something that only grows, from the process's start on.
+    /// Begins a metric whose value only grows after the process's start.
     pub fn counter(&mut self, name: &'static str, help: &str) -> Family<'_> {
         debug_assert!(name.ends_with("_total"), "{name}");
         self.family(name, "counter", help)
     }
 
-    /// How often something took how long.
+    /// Begins a metric that is a histogram of durations.
     pub fn histogram(&mut self, name: &'static str, help: &str) -> Histograms<'_> {
         Histograms(self.family(name, "histogram", help))
     }
@@ -33,17 +33,17 @@ impl Page {
     }
 
     fn line(&mut self, line: std::fmt::Arguments<'_>) {
-        // Writing into a string does not fail.
+        // Writing to a string does not fail.
         let _ = self.0.write_fmt(line);
     }
 
-    /// The text.
+    /// Returns the text of the page.
     pub fn finish(self) -> String {
         self.0
     }
 }
 
-/// A metric's values.
+/// Writer of one metric's values.
 #[derive(Debug)]
 pub struct Family<'a> {
     page: &'a mut Page,
@@ -51,35 +51,35 @@ pub struct Family<'a> {
 }
 
 impl Family<'_> {
-    /// The only value.
+    /// Writes the metric's only value.
     pub fn is(self, value: impl Into<f64>) {
         self.with(&[], value.into());
     }
 
-    /// The only value, a number of things: exact up to 2^53.
+    /// Writes the metric's only value, a count: exact up to 2^53.
     pub fn counts(self, value: u64) {
         self.is(value as f64);
     }
 
-    /// A value under these labels.
+    /// Writes a value with these labels.
     pub fn with(self, labels: &[(&str, &str)], value: f64) -> Self {
         self.page.line(format_args!("{}{} {}\n", self.name, Labels(labels), Number(value)));
         self
     }
 
-    /// A value for each value of a label.
+    /// Writes one value for each value of the label `label`.
     pub fn each<L: AsRef<str>>(self, label: &str, values: impl IntoIterator<Item = (L, u64)>) {
         let put = |family: Self, (value, count): (L, u64)| family.with(&[(label, value.as_ref())], count as f64);
         values.into_iter().fold(self, put);
     }
 }
 
-/// A metric's histograms.
+/// Writer of one metric's histograms.
 #[derive(Debug)]
 pub struct Histograms<'a>(Family<'a>);
 
 impl Histograms<'_> {
-    /// A histogram under these labels.
+    /// Writes a histogram with these labels.
     pub fn with(self, labels: &[(&str, &str)], histogram: &Histogram) -> Self {
         let Family { page, name } = self.0;
         let mut count = 0;

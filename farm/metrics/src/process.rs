@@ -1,12 +1,12 @@
-//! The process itself, under the names that Prometheus' own libraries give: dashboards know them. What the system does not
-//! tell is left out.
+//! Metrics of the process itself, under the names of Prometheus' own client libraries, which dashboards know. Values that the
+//! system does not provide are left out.
 
 use std::sync::LazyLock;
 use std::time::SystemTime;
 
 use crate::page::Page;
 
-/// Puts memory, processor time, open files and the start of this process on the page.
+/// Writes memory, processor time, open files and start time of this process to the page.
 pub fn process(page: &mut Page) {
     if let Some(seconds) = cpu_seconds() {
         page.counter("process_cpu_seconds_total", "User and system processor time, in seconds.").is(seconds);
@@ -50,7 +50,8 @@ fn cpu_seconds() -> Option<f64> {
     None
 }
 
-/// When this was asked first, which is when the server began: next to the start of the process, on every system.
+/// Returns the time of the first call. The server calls it when it begins, which is close to the start of the process; this works
+/// on every system.
 pub(crate) fn start() -> SystemTime {
     static START: LazyLock<SystemTime> = LazyLock::new(SystemTime::now);
     *START

@@ -1,4 +1,4 @@
-//! `/metrics`, `/healthz` and `/readyz` over HTTP: small answers to few callers, none of whom can hold the process up.
+//! `/metrics`, `/healthz` and `/readyz` over HTTP: small answers to few clients. No client can block the process.
 
 use std::convert::Infallible;
 use std::future::Future;
@@ -17,46 +17,46 @@ use tokio::sync::Semaphore;
 
 use crate::process;
 
-/// How a process is.
+/// Health of a process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Health {
-    /// It does what it is for.
+    /// The process works.
     Ready,
-    /// It does what it is for, but not for all.
+    /// The process works, but refuses some requests.
     Strained {
-        /// What it does not do, and why.
+        /// Refused service, and the reason.
         message: String,
     },
-    /// It is well, and waits for something.
+    /// The process is healthy and waits for something, like a standby.
     Waits {
-        /// For what.
+        /// Reason for the wait.
         message: String,
     },
-    /// It does not do what it should: start it anew.
+    /// The process does not work and must be restarted.
     Broken {
         /// Part that fails, and its error.
         message: String,
     },
 }
 
-/// What a process says about itself.
+/// Health and metrics of a process.
 #[derive(Debug)]
 pub struct Report {
     /// Health of the process.
     pub health: Health,
-    /// Its page of metrics.
+    /// Page of metrics.
     pub page: String,
 }
 
-/// Connections at a time; more wait.
+/// Maximum number of simultaneous connections; further ones wait.
 const CONNECTIONS: usize = 32;
-/// How long a request may take to come.
+/// Timeout for reading a request's header.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How long a connection may live.
+/// Maximum duration of a connection.
 const LIFE: Duration = Duration::from_secs(60);
 
-/// Answers with what `report` says, until it is dropped: `/metrics` with the page, `/healthz` with 503 where the process is
-/// broken, `/readyz` with 503 unless it is ready.
+/// Serves the results of `report` until this future is dropped: `/metrics` returns the page, `/healthz` returns 503 if the process
+/// is broken, `/readyz` returns 503 if it waits or is broken.
 pub async fn serve<R>(listener: TcpListener, report: impl Fn() -> R + Clone + Send + Sync + 'static)
 where
     R: Future<Output = Report> + Send,
@@ -69,7 +69,7 @@ where
             Ok((stream, _)) => {
                 let report = report.clone();
                 tokio::spawn(async move {
-                    // Who is too slow asks again.
+                    // A client that is too slow must ask again.
                     let _ = tokio::time::timeout(LIFE, connection(stream, report)).await;
                     drop(place);
                 });

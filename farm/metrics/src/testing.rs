@@ -1,21 +1,22 @@
-//! A strict reader of pages: what Prometheus would take with a shrug is an error here.
+//! A strict reader of pages: deviations that Prometheus would accept are errors here.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Label names and their values, in order of name.
+/// Label names with their values, in the order of the names.
 pub type Labels = BTreeMap<String, String>;
 
-/// What a page says.
+/// The samples of a page.
 #[derive(Debug, Default)]
 pub struct Samples {
     values: BTreeMap<(String, Labels), f64>,
-    /// The metrics and their kinds.
+    /// Kinds of the metrics, by the metric's name.
     pub kinds: BTreeMap<String, String>,
 }
 
 impl Samples {
-    /// Reads a page: each metric begins with its help and its kind, its values follow at once, none comes twice; what only
-    /// grows ends with `_total` and is not negative; the buckets of a histogram grow up to its count.
+    /// Reads a page and checks these rules: Each metric begins with its help and its kind. Its values follow immediately. No metric
+    /// and no series occurs twice. A counter's name ends with `_total`, and its value is not negative. The buckets of a histogram
+    /// do not shrink, and the last one equals its count.
     pub fn read(page: &str) -> Result<Self, String> {
         let (mut samples, mut helped, mut current) = (Self::default(), BTreeSet::new(), String::new());
         for line in page.strip_suffix('\n').ok_or("the last line does not end")?.lines() {
@@ -95,19 +96,19 @@ impl Samples {
         Ok(())
     }
 
-    /// The value with exactly these labels.
+    /// Returns the value with exactly these labels.
     pub fn value(&self, name: &str, labels: &[(&str, &str)]) -> Option<f64> {
         let labels = labels.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
         self.values.get(&(name.to_owned(), labels)).copied()
     }
 
-    /// The sum of all values of this name that have these labels, and perhaps others.
+    /// Returns the sum of all values of this name that have at least these labels.
     pub fn sum(&self, name: &str, labels: &[(&str, &str)]) -> f64 {
         let has = |of: &Labels| labels.iter().all(|(name, value)| of.get(*name).is_some_and(|own| own == value));
         self.values.iter().filter(|((own, of), _)| own == name && has(of)).map(|(_, value)| value).sum()
     }
 
-    /// The names of all series.
+    /// Returns the names of all series.
     pub fn names(&self) -> BTreeSet<&str> {
         self.values.keys().map(|(name, _)| &**name).collect()
     }

@@ -1,9 +1,9 @@
-//! The log under the scheduler: records that are durable before anybody hears of them, and snapshots that replace them.
+//! The scheduler's durable log: records that are durable before they are acknowledged, and snapshots that replace them.
 //!
-//! Beside the log lie notes: by subject, read in pages when somebody asks, never when a log is opened.
+//! Notes are stored beside the log, by subject. They are read in pages on request, never when a log is opened.
 //!
-//! A record is bytes; what they mean is the scheduler's affair. One [`Queue`], several backends, one conformance suite
-//! (`tests/conformance.rs`). A batch is appended whole or not at all.
+//! A record is a byte string; only the scheduler interprets it. There is one trait, [`Queue`], with several backends and one
+//! conformance suite (`tests/suite/conformance.rs`). A batch is appended either whole or not at all.
 #![deny(missing_docs)]
 
 mod backend;
@@ -18,51 +18,52 @@ pub use backend::memory::Memory;
 pub use backend::postgres::{Database, Leader, Postgres, Standby};
 pub use backend::sqlite::Sqlite;
 
-/// What a log holds.
+/// Contents of a log.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Contents {
     /// The newest snapshot.
     pub snapshot: Option<Vec<u8>>,
     /// The records since then, oldest first.
     pub records: Vec<Vec<u8>>,
-    /// Records at the end of a write that was cut: never acknowledged, and dropped. A database has none.
+    /// Number of records dropped at the end because their write was interrupted; they were never acknowledged. Always 0 in a
+    /// database.
     pub torn: u64,
-    /// What was acknowledged and is not here, where that was accepted.
+    /// Acknowledged records that are missing, if the loss was accepted.
     pub lost: Option<Lost>,
 }
 
-/// What a log lacks.
+/// Description of missing records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lost {
-    /// The last record that is there; 0: none.
+    /// Number of the last existing record; 0: none.
     pub kept: i64,
-    /// The last that is known to have been there; `None`: nobody knows.
+    /// Number of the last record known to have existed; `None`: unknown.
     pub known: Option<i64>,
 }
 
-/// What to do with a log that lacks what was acknowledged.
+/// Policy for a log that lacks acknowledged records.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Loss {
-    /// It is not opened.
+    /// The log is not opened.
     #[default]
     Refused,
-    /// It goes on with what there is, for good; [`Contents::lost`] tells.
+    /// The log is opened without the missing records, permanently; [`Contents::lost`] describes the loss.
     Accepted,
 }
 
-/// What becomes durable at once.
+/// A set of changes that become durable together.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Batch<'a> {
     /// Records of the log.
     pub records: &'a [Vec<u8>],
-    /// What is kept beside the log: no snapshot holds it or replaces it, and a start does not read it.
+    /// Notes beside the log: snapshots neither contain nor replace them, and opening the log does not read them.
     pub notes: &'a [Note],
-    /// Subjects whose notes of before go.
+    /// Subjects whose earlier notes are removed.
     pub forgotten: &'a [u64],
 }
 
 impl<'a> Batch<'a> {
-    /// Records alone.
+    /// Creates a batch of records only.
     pub fn of(records: &'a [Vec<u8>]) -> Self {
         Self { records, ..Self::default() }
     }
@@ -72,31 +73,31 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// Something that is kept beside the log.
+/// A note, stored beside the log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Note {
-    /// What it is about; at most `i64::MAX`.
+    /// Number of the subject; at most `i64::MAX`.
     pub subject: u64,
     /// Content of the note.
     pub bytes: Vec<u8>,
 }
 
-/// Some of a subject's notes.
+/// A page of a subject's notes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Page {
-    /// What they say, oldest first; a damaged one is left out.
+    /// Contents of the notes, oldest first; damaged notes are left out.
     pub notes: Vec<Vec<u8>>,
-    /// Where the next page begins; `None`: there is none.
+    /// Start of the next page; `None`: this is the last page.
     pub next: Option<u64>,
 }
 
 impl Page {
-    /// Most notes of a page.
+    /// Maximum number of notes in a page.
     pub const NOTES: usize = 64;
     /// Bytes after which a page ends.
     pub const BYTES: usize = 256 << 10;
 
-    /// A page of the first of these notes, which have numbers; of a damaged one there is nothing else.
+    /// Creates a page of the first of these numbered notes; the content of a damaged note is `None`.
     fn of(notes: impl IntoIterator<Item = (u64, Option<Vec<u8>>)>) -> Self {
         let (mut page, mut bytes) = (Self::default(), 0);
         for (place, (number, note)) in notes.into_iter().enumerate() {
@@ -111,41 +112,42 @@ impl Page {
     }
 }
 
-/// An append-only log of one writer, and notes beside it.
+/// An append-only log with one writer, and notes beside it.
 pub trait Queue: Send + 'static {
-    /// What there is, before anything else is asked of it: all that was acknowledged, whole batches, nothing else. Where
-    /// that is not there, or cannot be known to be, it fails, unless the loss is accepted.
+    /// Loads the log; call this before anything else. Returns exactly the acknowledged batches, each of them whole. Fails if some
+    /// of them are missing, or if that cannot be determined, unless the loss is accepted.
     fn load(&mut self) -> impl Future<Output = Result<Contents, QueueError>> + Send;
 
-    /// Appends a batch; it is on the disk when this returns. Whole or not at all. Where there is no room
-    /// ([`Remedy::Room`]) nothing is appended, and the same may be tried again.
+    /// Appends a batch, either whole or not at all. It is on the disk when this returns. Without room ([`Remedy::Room`]), nothing
+    /// is appended, and the call may be retried.
     fn append(&mut self, batch: Batch<'_>) -> impl Future<Output = Result<(), QueueError>> + Send;
 
-    /// Puts `state` in place of everything before it.
+    /// Replaces everything before with the snapshot `state`.
     fn snapshot(&mut self, state: &[u8]) -> impl Future<Output = Result<(), QueueError>> + Send;
 
-    /// A number for the writer that begins now, `least` or more: no writer before has had it, whatever else of the log is
-    /// lost. Durable when this returns.
+    /// Reserves a number, the incarnation, for the writer that starts now. It is at least `least`, and no earlier writer has had
+    /// it, even if records of the log are lost. It is durable when this returns.
     fn reserve(&mut self, least: u32) -> impl Future<Output = Result<u32, QueueError>> + Send {
         async move { Ok(least) }
     }
 
-    /// A subject's notes from `from` on, which is 0 or the `next` of the page before.
+    /// Returns a page of a subject's notes. `from` is 0 or the `next` of the previous page.
     fn notes(&mut self, subject: u64, from: u64) -> impl Future<Output = Result<Page, QueueError>> + Send;
 
-    /// Whether this is still the one writer: where another may take its place, fails once that has happened or cannot be
-    /// ruled out. Asks nobody, and costs next to nothing.
+    /// Checks that this is still the only writer. If another writer may take over, this fails once that has happened or cannot be
+    /// ruled out. It sends no request and is nearly free.
     fn check(&mut self) -> Result<(), QueueError> {
         Ok(())
     }
 
-    /// A copy of all that it holds now: an SQLite file that [`Sqlite::open`] opens, at its beginning and without a name, gone
-    /// when it is dropped. The log is as it was, also where this fails.
+    /// Returns a copy of the present contents: an SQLite file that [`Sqlite::open`] opens, positioned at its start. The file has no
+    /// name and vanishes when it is dropped. The log is not changed, even if this fails.
     fn copy(&mut self) -> impl Future<Output = Result<File, QueueError>> + Send {
         async { Err(QueueError::NoCopy { instead: "it is kept elsewhere" }) }
     }
 
-    /// The writer's end: what lay beside the log's own place is brought there. A log whose writer was killed is as whole.
+    /// Closes the log and moves everything from files beside the log into the log itself. A log whose writer was killed is not less
+    /// complete.
     fn close(self) -> impl Future<Output = Result<(), QueueError>> + Send
     where
         Self: Sized,
@@ -154,19 +156,19 @@ pub trait Queue: Send + 'static {
     }
 }
 
-/// What to do about an error.
+/// Remedy for an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Remedy {
-    /// Open the log again, later: what it holds is whole.
+    /// Open the log again, later: its contents are intact.
     Reopen,
-    /// Try the same again when there is room: the log is as it was.
+    /// Retry the call when there is room: the log is unchanged.
     Room,
-    /// A person must look.
+    /// No automatic remedy: a person must intervene.
     None,
 }
 
 impl QueueError {
-    /// What to do about it.
+    /// Returns the remedy for this error.
     pub fn remedy(&self) -> Remedy {
         match self {
             Self::Away { .. } | Self::Deposed { .. } => Remedy::Reopen,
@@ -189,60 +191,60 @@ impl QueueError {
     }
 }
 
-/// Whether a disk, or somebody's share of it, is full.
+/// Checks whether a disk or a quota is full.
 fn no_room(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
 
-/// What a log may answer instead.
+/// Error of a log.
 #[derive(Debug, thiserror::Error)]
 pub enum QueueError {
-    /// The file is not a log of this program, or of another version.
+    /// The file is not a log of this program, or has another version.
     #[error("{path} is not a femc log of version {}: application {application:#x}, version {version}", Sqlite::VERSION)]
     Foreign {
-        /// The file.
+        /// Path of the file.
         path: String,
         /// SQLite's `application_id`.
         application: i64,
         /// SQLite's `user_version`.
         version: i64,
     },
-    /// Another coordinator has it open.
+    /// Another coordinator has the log open.
     #[error("{path} is in use by another coordinator")]
     InUse {
-        /// The file.
+        /// Path of the file.
         path: String,
     },
-    /// A record is damaged or gone: what follows it means nothing.
+    /// A record is damaged or missing: the records after it cannot be used.
     #[error("record {sequence} of the log is damaged or gone, and {after} sound ones follow it")]
     Damaged {
         /// Number of the record.
         sequence: i64,
-        /// Sound records after it.
+        /// Number of sound records after it.
         after: u64,
     },
     /// The snapshot is damaged.
     #[error("the log's snapshot is damaged")]
     DamagedSnapshot,
-    /// Records that were durable are gone from the end.
+    /// Durable records are missing at the end.
     #[error("{path} ends with record {kept}, but record {known} was durable: {} are gone", known - kept)]
     Lost {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// The last record that is there.
+        /// Number of the last existing record.
         kept: i64,
-        /// The last that is known to have been there.
+        /// Number of the last record known to have existed.
         known: i64,
     },
-    /// Records may be gone.
+    /// Durable records may be missing; this cannot be determined.
     #[error("whether all that was durable is in {path} cannot be told: {why}")]
     Unsure {
-        /// The file.
+        /// Path of the file.
         path: String,
-        /// Reason for which durable records may be missing.
+        /// Reason why records may be missing.
         why: String,
     },
-    /// There is no room; nothing was written.
+    /// There is no room for the log; nothing was written.
     #[error("no room for the log in {place}: {message}")]
     Full {
         /// The file or the database.
@@ -250,59 +252,59 @@ pub enum QueueError {
         /// Error of the operating system or the database.
         message: String,
     },
-    /// A log of this kind is copied by other means.
+    /// A log of this kind must be copied with other tools.
     #[error("this log is not copied by the coordinator: {instead}")]
     NoCopy {
-        /// How to copy this kind of log.
+        /// Tool or command that copies this kind of log.
         instead: &'static str,
     },
-    /// Reading or writing the log failed.
+    /// The log cannot be read or written.
     #[error("log: {0}")]
     Medium(#[from] io::Error),
-    /// The address of the database makes no sense.
+    /// The address of the database is invalid.
     #[error("this is no address of a PostgreSQL database: {message}")]
     Address {
-        /// What is wrong with it.
+        /// Description of the problem.
         message: String,
     },
-    /// The database does not answer, or the connection broke: later it may be there again.
+    /// The database does not answer, or the connection broke. It may be available again later.
     #[error("the database {database} cannot be reached: {message}")]
     Away {
-        /// Where, and its name.
+        /// Host and name of the database.
         database: String,
         /// Error of the connection.
         message: String,
     },
-    /// The database does not let this user in, or does not let it do what it must.
+    /// The database rejects this user, or denies a necessary permission.
     #[error("the database {database} refuses: {message}")]
     Rejected {
-        /// Where, and its name.
+        /// Host and name of the database.
         database: String,
         /// Error of the server.
         message: String,
     },
-    /// The schema `femc` of the database is not a log of this program, or of another version.
+    /// The schema `femc` of the database is not a log of this program, or has another version.
     #[error(
         "the schema femc of the database {database} is not a femc log of version {}: version {}",
         Postgres::VERSION,
         found.as_deref().unwrap_or("unknown")
     )]
     ForeignTables {
-        /// Where, and its name.
+        /// Host and name of the database.
         database: String,
-        /// The version that it states.
+        /// Version found in the schema.
         found: Option<String>,
     },
     /// Another coordinator leads: nothing was written.
     #[error("another coordinator leads; leadership {epoch} of this one is over")]
     Deposed {
-        /// Of the leadership that is over.
+        /// Epoch of the leadership that is over.
         epoch: i64,
     },
-    /// PostgreSQL failed in a way that trying again does not mend.
+    /// PostgreSQL failed, and a retry does not help.
     #[error("the database {database} failed: {message}")]
     Database {
-        /// Where, and its name.
+        /// Host and name of the database.
         database: String,
         /// Error of the server.
         message: String,

@@ -1,4 +1,4 @@
-//! A scratch database in the server that `FEMC_TEST_POSTGRES` names; `tests/postgres COMMAND` starts one for a command.
+//! Scratch databases on the server that `FEMC_TEST_POSTGRES` names; `tests/postgres COMMAND` starts one for a command.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -11,7 +11,7 @@ use tokio::sync::Notify;
 use crate::Contents;
 use crate::backend::postgres;
 
-/// A database of one test's own. It stays: to drop one takes a second, and the server is there to be thrown away.
+/// A database for one test. It is not dropped: that would take a second, and the test server itself is temporary.
 #[derive(Debug)]
 pub struct Scratch {
     server: PgConnectOptions,
@@ -19,10 +19,10 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// A new database; `None` without a server (see [`Need::or_skip`]).
+    /// Creates a database; `None` without a server (see [`Need::or_skip`]).
     ///
     /// # Panics
-    /// If there should be a server and is none, or not a willing one.
+    /// If a required server is missing or refuses.
     pub async fn new() -> Option<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let url = Need::Postgres.variable("FEMC_TEST_POSTGRES")?;
@@ -34,13 +34,13 @@ impl Scratch {
         Some(scratch)
     }
 
-    /// Its address, as `--store` wants it.
+    /// Returns its address in the form that `--store` takes.
     pub fn url(&self) -> String {
         self.options().to_url_lossy().to_string()
     }
 
-    /// Its address by the name in the server's certificate, and the file with the authority that issued that; `None` where
-    /// the server has none (see [`Need::or_skip`]).
+    /// Returns its address with the host name of the server's certificate, and the file with the certificate's authority; `None` if
+    /// the server has no certificate (see [`Need::or_skip`]).
     pub fn encrypted(&self) -> Option<(String, String)> {
         let authority = Need::Postgres.variable("FEMC_TEST_POSTGRES_CA")?;
         let url = self.options().host("localhost").to_url_lossy().to_string();
@@ -57,19 +57,19 @@ impl Scratch {
         run(&mut server, sql).await;
     }
 
-    /// Does something to it behind a coordinator's back.
+    /// Runs statements on the database behind a coordinator's back.
     ///
     /// # Panics
-    /// If the server does not do it.
+    /// If the server refuses.
     pub async fn tamper(&self, sql: &str) {
         let mut connection = self.options().connect().await.expect("the server lets us in");
         run(&mut connection, sql).await;
     }
 
-    /// What a query with one number as its answer answers.
+    /// Runs a query whose result is one number, and returns the number.
     ///
     /// # Panics
-    /// If it does not.
+    /// If the query fails.
     pub async fn number(&self, sql: &str) -> i64 {
         let mut connection = self.options().connect().await.expect("the server lets us in");
         sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut connection).await.expect("a number")
@@ -77,7 +77,7 @@ impl Scratch {
 }
 
 impl Scratch {
-    /// The log in it, at one moment and whoever leads; `None`: nobody has begun one.
+    /// Reads the log in the database at one point in time, whichever coordinator leads; `None`: no log exists.
     ///
     /// # Panics
     /// If it cannot be read, or is damaged.
@@ -95,10 +95,10 @@ async fn run(connection: &mut PgConnection, sql: &str) {
     ran.unwrap_or_else(|error| panic!("{sql}: {error}"));
 }
 
-/// Keeps `table` of the database at `url` from everybody until `release`.
+/// Locks `table` of the database at `url` until `release`.
 ///
 /// # Panics
-/// If the server does not do it.
+/// If the server refuses.
 pub async fn hold(url: &str, table: &str, release: Arc<Notify>) {
     let options: PgConnectOptions = url.parse().expect("an address");
     let mut connection = options.connect().await.expect("the server lets us in");

@@ -1,7 +1,7 @@
-//! What the scheduler alone costs: `cargo run --release -p femc-schedule --example scale -- [WORKERS] [FRAMES] [TILES]`
+//! Benchmark of the scheduler alone: `cargo run --release -p femc-schedule --example scale -- [WORKERS] [FRAMES] [TILES]`
 //!
-//! Workers that do everything at once; no log, no network. Memory is that of the process: by how much it grows with the job,
-//! with the workers and their leases, with the job's end, and the most that it ever was.
+//! Workers complete every task immediately; there is no log and no network. Memory is that of the process: its growth with the job,
+//! with the workers and their leases, and until the job's end, and its maximum.
 
 use std::time::Instant;
 
@@ -85,7 +85,7 @@ fn main() {
     println!("snapshot: {bytes} bytes in {:?}", begun.elapsed());
 }
 
-/// KiB of this process, by the name that Linux gives it.
+/// Returns a memory figure of this process in KiB, by its name in Linux.
 fn memory(name: &str) -> i64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with(name)).unwrap_or_default();

@@ -1,5 +1,6 @@
-//! Scene affinity: to read a scene and to make a frame ready takes a worker time, so it goes on with what it has at hand rather
-//! than with what is first in the order of service or of frames: for a while, and never before a job of more priority.
+//! Scene affinity. Reading a scene and preparing a frame cost a worker time. So a worker prefers tasks of the scenes and frames
+//! that it has ready to tasks that come first in the order of service or of frames. It does so for a limited time, and never before
+//! a job of higher priority.
 
 use std::collections::VecDeque;
 
@@ -10,24 +11,24 @@ use crate::ledger::Job;
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
 
-/// What a worker has ready, as far as one can tell from what it was given.
+/// Frames and outputs that a worker probably has ready, judged by the tasks that it was given.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Locality {
-    /// The latest at the end.
+    /// Prepared frames, the latest at the end.
     frames: Vec<(JobId, u32)>,
-    /// Tasks that it has done and that those of the frame behind may look at: by stage and number, the latest at the end.
+    /// Completed tasks whose outputs are hints for tasks of the next frame: job, stage and task, the latest at the end.
     hint_sources: VecDeque<(JobId, u16, u32)>,
-    /// Milliseconds of tasks that it was given out of turn, since one in turn.
+    /// Expected milliseconds of the tasks given out of turn since the last one in turn.
     out_of_turn: u64,
 }
 
 impl Locality {
-    /// Frames that count; a worker keeps more, for what it makes ready ahead.
+    /// Number of frames that are remembered. A worker keeps more, for those that it prepares ahead.
     const FRAMES: usize = 2;
-    /// Tasks that count.
+    /// Number of completed tasks that are remembered.
     const HINT_SOURCES: usize = 256;
 
-    /// It is given a task in turn, or out of turn one that takes so many milliseconds.
+    /// Notes that the worker gets a task in turn (`None`), or one out of turn that is expected to take these milliseconds.
     fn note_turn(&mut self, out_of_turn: Option<u64>) {
         self.out_of_turn = out_of_turn.map_or(0, |milliseconds| self.out_of_turn.saturating_add(milliseconds));
     }
@@ -40,7 +41,7 @@ impl Locality {
         self.frames.iter().any(|&(other, _)| other == job)
     }
 
-    /// The worker has done a task that others may look at.
+    /// Notes that the worker has completed a task whose outputs are hints for other tasks.
     pub(crate) fn add_hint_source(&mut self, job: JobId, stage: u16, item: u32) {
         self.hint_sources.retain(|other| *other != (job, stage, item));
         self.hint_sources.push_back((job, stage, item));
@@ -49,7 +50,7 @@ impl Locality {
         }
     }
 
-    /// The worker is given a task.
+    /// Notes that the worker gets a task.
     pub(crate) fn note(&mut self, task: &TaskKey) {
         if task.stage.kind.row().near != Near::Frame {
             return;
@@ -64,10 +65,10 @@ impl Locality {
 }
 
 impl Scheduler {
-    /// A worker goes on out of turn for so many times what a task is meant to take, at most.
+    /// Limit of the time that a worker may work out of turn, as a multiple of the intended duration of a task.
     const OUT_OF_TURN: u64 = 4;
 
-    /// Leases a worker the task whose turn it is, or one that it has at hand.
+    /// Leases a worker the task whose turn it is, or one whose scene or frame it has ready.
     pub(crate) fn assign_next(&mut self, id: WorkerId, first: TaskKey, now: Tick, out: &mut Vec<Command>) {
         let other = self.ready_nearby(id, &first, now);
         let task = other.unwrap_or(first);
@@ -80,8 +81,8 @@ impl Scheduler {
         }
     }
 
-    /// A ready task of a frame that the worker has ready, or else of a scene that it has read, where `first`, whose turn it is,
-    /// has neither; `None`: there is none, or it is time for `first`.
+    /// Returns a ready task of a frame that the worker has prepared, or else of a scene that it has read, if `first`, whose turn it
+    /// is, has neither. `None`: there is no such task, or it is time for `first`.
     fn ready_nearby(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
         let locality = &self.table.workers.get(&id)?.locality;
         if first.stage.kind.row().near != Near::Frame
@@ -104,7 +105,7 @@ impl Scheduler {
         own.into_iter().find_map(|(job, _)| self.ready_of_scene(id, job))
     }
 
-    /// A ready task of the same stage that may look at what the worker itself has left of the frame before.
+    /// Returns a ready task of the same stage that has a hint which the worker itself made in the previous frame.
     fn ready_with_own_hint(&self, id: WorkerId, task: &TaskKey) -> Option<TaskKey> {
         let (job, ready_tasks) = (self.ledger.jobs.get(&task.job)?, self.ready.get(&task.job)?);
         let template = job.spec.graph.stage(task.stage.number)?;
@@ -119,7 +120,7 @@ impl Scheduler {
         tasks.find(|task| self.may_take(task, job, ready_tasks, id))
     }
 
-    /// A ready task of a job of which the worker has the scene; opens a frame for it, if there may be one more.
+    /// Returns a ready task of a job whose scene the worker has read. Opens a frame for it if another one may be open.
     fn ready_of_scene(&mut self, id: WorkerId, job: JobId) -> Option<TaskKey> {
         loop {
             let task = self.ready_near(id, job, None);
@@ -137,7 +138,8 @@ impl Scheduler {
             && ready_tasks.is_some_and(|ready_tasks| !self.is_quarantined_for(known, ready_tasks, id, now))
     }
 
-    /// The first ready task that wants its frame prepared, of one frame of the job, or of any, and that the worker may take.
+    /// Returns the first ready task that needs a prepared frame and that the worker may take: of this frame of the job, or of any
+    /// frame.
     fn ready_near(&self, id: WorkerId, job: JobId, frame: Option<u32>) -> Option<TaskKey> {
         let (known, ready_tasks) = (self.ledger.jobs.get(&job)?, self.ready.get(&job)?);
         let engine = &*self.table.workers.get(&id)?.registration.engine;

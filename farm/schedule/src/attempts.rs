@@ -1,4 +1,4 @@
-//! What attempts took. It is told to the caller, to be kept beside the log: the ledger does not grow with it.
+//! Records of attempts and their usage. The caller stores them beside the log, so the ledger does not grow with them.
 
 use femc_model::{AttemptRecord, Ending, Phase, TaskResult, TaskUsage, Tick, WorkerId};
 
@@ -6,19 +6,19 @@ use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::{Command, SnapshotError};
 
-/// First byte of a note: the version of what follows. Notes of other versions are refused: what earlier programs noted of
-/// attempts is not shown, and nothing else follows from it.
+/// First byte of a note: its version. Notes of other versions are refused. Then the attempts recorded by earlier programs are not
+/// shown; there are no other consequences.
 pub(crate) const VERSION: u8 = 2;
 
-/// Attempts as one note beside the log.
+/// Encodes attempts as one note beside the log.
 pub fn encode_attempts(attempts: &[AttemptRecord]) -> Result<Vec<u8>, SnapshotError> {
-    // An attempt mostly fits.
+    // Enough for most attempts.
     let mut bytes = Vec::with_capacity(1 + 160 * attempts.len());
     bytes.push(VERSION);
     Ok(postcard::to_extend(attempts, bytes)?)
 }
 
-/// What [`encode_attempts`] wrote.
+/// Decodes a note of [`encode_attempts`].
 pub fn decode_attempts(note: &[u8]) -> Result<Vec<AttemptRecord>, SnapshotError> {
     match note.split_first() {
         Some((&VERSION, attempts)) => Ok(postcard::from_bytes(attempts)?),
@@ -27,7 +27,7 @@ pub fn decode_attempts(note: &[u8]) -> Result<Vec<AttemptRecord>, SnapshotError>
     }
 }
 
-/// What counts of a result.
+/// Figures of a result that go into the record of its attempt.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Counted {
     samples: u64,
@@ -39,14 +39,15 @@ impl Counted {
         Self { samples: result.units, relative_error: result.relative_error }
     }
 
-    /// Pixel samples.
+    /// Returns the number of pixel samples.
     pub(crate) fn samples(self) -> u64 {
         self.samples
     }
 }
 
 impl Scheduler {
-    /// A worker says what a lease took: of one that holds, its end follows; of one that is over, this is all that will be heard.
+    /// Handles a worker's report of a lease's usage. If the lease holds, its outcome follows. If the lease is over, no other report
+    /// follows.
     pub(crate) fn usage(
         &mut self,
         worker: WorkerId,
@@ -58,7 +59,7 @@ impl Scheduler {
             self.reported_usage = Some(((task, epoch), usage));
             return;
         }
-        // What counts was noted with its usage: this is a repetition.
+        // The usage of a counted result is already recorded: this is a repetition.
         let is_news = self.ledger.jobs.get(&task.job).is_some_and(|job| !job.holds(&task, epoch));
         let Some(known) = self.table.workers.get(&worker).filter(|_| is_news) else { return };
         let milliseconds = ((usage.wall + usage.wait) * 1000.0) as u64;
@@ -78,7 +79,7 @@ impl Scheduler {
         })));
     }
 
-    /// Notes the end of a lease; to be called while its worker is known.
+    /// Records the end of a lease. Call it while its worker is known.
     pub(crate) fn note(
         &mut self,
         key: &LeaseKey,

@@ -1,10 +1,11 @@
-//! One build of the engine within one frame: builds may differ in a bit, and a frame of two builds would be neither's.
+//! Assigns each frame to one build of the engine. The results of builds may differ in a bit, so one build must render a whole
+//! frame.
 //!
-//! A frame is its first lease's build's, and from its first result on for good: a fact says so. Workers of other builds do
-//! other frames meanwhile. When no worker of a frame's build has been there for a while, because all were upgraded, the frame
-//! begins anew with those that are there: what was done of it is lost, and nothing waits for ever. The same holds where workers
-//! of its build are there but none with the tags of what comes next, while another build has them for all of it: and such a
-//! build is the one that begins it.
+//! The worker that gets the first lease of a frame determines its build; with the first result, a fact makes this permanent.
+//! Meanwhile workers of other builds render other frames. If no worker of a frame's build has been present for some time, because
+//! all were upgraded, the frame restarts with the present workers. Its results are lost, but nothing waits forever. The frame also
+//! restarts if workers of its build are present, none of them has the tags of the next stages, and another build has the tags of
+//! all stages. Such a build is the one that begins it.
 
 use std::collections::BTreeMap;
 
@@ -17,15 +18,15 @@ use crate::ready_tasks::ReadyTasks;
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
 
-/// Frames whose build has no worker.
+/// Frames whose build has no worker, with the time since when.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Orphans {
     since: BTreeMap<(JobId, u32), Tick>,
-    /// When it was looked last.
+    /// Time of the last check.
     looked: Tick,
 }
 
-/// How much of a frame, or of the stages of another scope, the workers of a build can do.
+/// Part of the stages of a frame, or of another scope, that the workers of a build can do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Coverage {
     Nothing,
@@ -33,7 +34,7 @@ enum Coverage {
     Everything,
 }
 
-/// The build whose frame this is; `None`: whoever comes first.
+/// Returns the build that renders this frame; `None`: the first worker decides.
 pub(crate) fn build_of<'a>(ledger: &'a Ledger, table: &'a LeaseTable, job: JobId, frame: u32) -> Option<&'a str> {
     if let Some(shared) = ledger.jobs.get(&job).and_then(|known| known.shared.as_ref()) {
         return Some(&shared.engine);
@@ -44,24 +45,24 @@ pub(crate) fn build_of<'a>(ledger: &'a Ledger, table: &'a LeaseTable, job: JobId
     })
 }
 
-/// Whether the frame is another build's than the worker's.
+/// Checks whether the frame belongs to another build than the worker's.
 pub(crate) fn is_of_other_build(ledger: &Ledger, table: &LeaseTable, job: JobId, frame: u32, worker: WorkerId) -> bool {
     let Some(worker) = table.workers.get(&worker) else { return false };
     build_of(ledger, table, job, frame).is_some_and(|build| build != worker.registration.engine)
 }
 
 impl Scheduler {
-    /// Milliseconds between two looks.
+    /// Milliseconds between two checks.
     const LOOK_AT_BUILDS: u64 = 1_000;
 
-    /// Whether a frame is not for this worker to go on with or to begin: it is another build's, or nobody's yet, and another
-    /// build can do more of it.
+    /// Checks whether this worker may neither begin nor continue the frame: it belongs to another build, or it has no build yet and
+    /// another build can do more of it.
     pub(crate) fn is_reserved_for_others(&self, id: JobId, frame: u32, worker: WorkerId) -> bool {
         let (Some(job), Some(worker)) = (self.ledger.jobs.get(&id), self.table.workers.get(&worker)) else {
             return false;
         };
         if job.shared.is_none() && self.table.builds().len() == 1 && self.ledger.side.build_of(id, frame).is_none() {
-            // Whoever has begun it is of the same build.
+            // All workers have the same build.
             return false;
         }
         match build_of(&self.ledger, &self.table, id, frame) {
@@ -70,9 +71,9 @@ impl Scheduler {
         }
     }
 
-    /// Whether no other build can do more of a scope's stages than this one.
+    /// Checks that no other build can do more of a scope's stages than this one.
     pub(crate) fn has_best_coverage(&self, job: &Job, scope: Scope, build: &str) -> bool {
-        // Whoever has the job's tags can do what asks for no others.
+        // A worker with the job's tags can do stages that require no others.
         job.spec.graph.of(scope).all(|(_, template)| template.tags.is_empty())
             || self.coverage(job, scope, build, &Self::is_present) >= self.best_coverage(job, scope)
     }
@@ -94,12 +95,13 @@ impl Scheduler {
         if stages.all(|(_, template)| capable(&template.tags)) { Coverage::Everything } else { Coverage::Something }
     }
 
-    /// One that has been silent for so long is gone, whatever its connection says.
+    /// Checks that a worker is present. A worker that has been silent for too long counts as gone, whatever the state of its
+    /// connection.
     pub(crate) fn is_present(&self, worker: &Worker) -> bool {
         worker.intake != Intake::Drained && self.now.since(worker.seen) < self.config.orphaned
     }
 
-    /// Whether workers of this build are there, but none for any stage that comes next in a frame.
+    /// Checks whether workers of this build can do none of the next stages of a frame.
     fn cannot_continue(&self, id: JobId, job: &Job, frame: u32, build: &str) -> bool {
         let open = self.ready.get(&id).and_then(|ready_tasks| ready_tasks.open.get(frame));
         let mut stages = open.into_iter().flat_map(|open| open.stages()).peekable();
@@ -112,7 +114,7 @@ impl Scheduler {
             && self.table.of_frame(id, frame).next().is_none()
     }
 
-    /// A result of the frame counts: the frame is its worker's build's.
+    /// Assigns the frame to the worker's build when its first result counts.
     pub(crate) fn note_build(&mut self, job: JobId, frame: u32, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
         debug_assert!(
             !is_of_other_build(&self.ledger, &self.table, job, frame, worker),
@@ -127,7 +129,7 @@ impl Scheduler {
         }
     }
 
-    /// Lets frames begin anew whose build has had no worker for too long, where others are there.
+    /// Restarts frames whose build has had no worker for too long, if other workers are present.
     pub(crate) fn restart_orphans(&mut self, now: Tick, out: &mut Vec<Command>) {
         if now < self.orphans.looked.after(Self::LOOK_AT_BUILDS) {
             return;
@@ -136,7 +138,7 @@ impl Scheduler {
         let (mut since, mut orphans) = (BTreeMap::new(), Vec::new());
         for id in self.order.jobs() {
             let Some(job) = self.ledger.jobs.get(&id) else { continue };
-            // A blocked frame would gain nothing: a retry opens it, and then its time begins.
+            // A restart does not help a blocked frame. A retry opens it, and then its time begins.
             let is_orphan = |&(frame, build): &(u32, &str)| {
                 let scope = Shape::scope_of(frame);
                 job.is_open(frame)
@@ -166,7 +168,7 @@ impl Scheduler {
         }
     }
 
-    /// Frames with something ready that nobody with room may take.
+    /// Counts frames with ready tasks that no worker with room may take because of its build.
     pub(crate) fn why_other_build(&self, id: JobId, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
         let is_capable = |worker: &Worker| worker.is_fit(&self.config, now) && worker.has_tags(&job.spec.tags);
         let capable: Vec<(WorkerId, &Worker)> = (self.table.workers.iter())

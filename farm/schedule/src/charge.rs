@@ -1,12 +1,12 @@
-//! What owners are charged: the time of workers, of which each moment belongs to the owner of the oldest lease that the worker
-//! holds, however that lease ends. So an hour of a worker is charged as an hour, with one lease or with seventy in its hands, and
-//! where a worker holds one at a time, an owner is charged for just the time that his leases were held.
+//! Charging owners for the time of workers. Each moment of a worker is charged to the owner of the oldest lease that the worker
+//! holds, however that lease ends. So an hour of a worker is charged as one hour, whether the worker holds one lease or seventy. If
+//! a worker holds one lease at a time, an owner is charged exactly for the time of his leases.
 //!
-//! A lease that runs is a claim of its owner: what it is expected to take counts in the order of service from its first moment
-//! on, less what has been charged of it, and not any more when it ends.
+//! A running lease is a claim of its owner. Its expected duration, less the part already charged, counts in the order of service
+//! from its first moment until it ends.
 //!
-//! What has been charged becomes durable every few seconds, whatever became of the leases: a coordinator that is killed forgets
-//! no more than that of each worker's time, and its log does not grow with the tasks.
+//! Charges become durable every few seconds, whatever happens to the leases. A killed coordinator loses at most that part of each
+//! worker's time, and its log does not grow with the number of tasks.
 
 use femc_model::{JobId, Tick, UsageSums, WorkerId};
 
@@ -15,12 +15,12 @@ use crate::scheduler::Scheduler;
 use crate::{Command, Fact, Used};
 
 impl Scheduler {
-    /// Milliseconds between two facts about what owners have used.
+    /// Milliseconds between two facts about the usage of owners.
     pub const NOTE_SHARES: u64 = 5_000;
 
-    /// A task of the job begins that is expected to take so many milliseconds.
+    /// Adds the expected milliseconds of a new lease to the claims of the job's owner.
     pub(crate) fn claim(&mut self, job: JobId, milliseconds: u64) {
-        // What jobs share is charged to all of them, as it is used.
+        // The time of a shared job is charged to the owners of all jobs that share it, as it is used.
         let Some(job) = self.ledger.jobs.get(&job).filter(|known| known.shared.is_none()) else { return };
         self.order.claim(&job.spec.owner, milliseconds, self.config.weight(&job.spec.owner));
     }
@@ -44,7 +44,7 @@ impl Scheduler {
         self.order.charge(&job.spec.owner, milliseconds, expected, self.config.weight(&job.spec.owner));
     }
 
-    /// Ends a lease, however it ends.
+    /// Ends a lease, for whatever reason.
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
         let (lease, bill) = self.table.release(key, &self.config, self.now)?;
         bill.into_iter().for_each(|bill| self.charge(bill));
@@ -54,14 +54,14 @@ impl Scheduler {
         Some(lease)
     }
 
-    /// Another session of its worker goes on with a lease; `false`: there is no such lease.
+    /// Hands a lease over to another session of its worker; `false`: there is no such lease.
     pub(crate) fn hand_over(&mut self, key: &LeaseKey, to: WorkerId, now: Tick) -> bool {
         let Some(from) = self.table.leases.get(key).map(|lease| lease.worker) else { return false };
         [from, to].into_iter().for_each(|worker| self.charge_worker(worker));
         self.table.hand_over(key, to, &self.config, now)
     }
 
-    /// Charges what is under way and makes durable what has changed.
+    /// Charges the running leases, and makes changed charges durable.
     pub(crate) fn note_shares(&mut self, now: Tick, out: &mut Vec<Command>) {
         self.shares_from = now.after(Self::NOTE_SHARES);
         let workers: Vec<WorkerId> = self.table.workers.keys().copied().collect();
@@ -76,7 +76,7 @@ impl Scheduler {
         }
     }
 
-    /// What each owner has used until the last event, without what is under way and not charged yet; by owner.
+    /// Returns the usage of each owner up to the last event, by owner. Uncharged time of running leases is not included.
     pub fn used(&self) -> impl Iterator<Item = (&str, Used)> {
         self.order.used()
     }

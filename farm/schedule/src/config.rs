@@ -1,74 +1,74 @@
-//! The scheduler's times and limits.
+//! Durations and limits of the scheduler.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
 
-/// Times in milliseconds.
+/// Configuration of the scheduler. Durations are in milliseconds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
-    /// A lease ends so long after its last renewal.
+    /// Duration of a lease after its last renewal.
     pub lease: u64,
-    /// Workers are asked to send heartbeats so often; several fit into a lease.
+    /// Interval of the workers' heartbeats; several fit into a lease.
     pub heartbeat: u64,
-    /// A task that shows no progress for so long is not renewed any more.
+    /// A task without progress for this long is no longer renewed.
     pub stall: u64,
-    /// The same while a scene is prepared, which shows no progress.
+    /// Like `stall`, while a scene is prepared, which shows no progress.
     pub preparation_stall: u64,
-    /// First rest of a worker after a failure of its surroundings; it doubles from failure to failure. Also the first pause of a
-    /// worker that is quarantined for a job while no other can take the job's tasks.
+    /// First rest of a worker after an infrastructure failure; it doubles with every further failure. It is also the first pause of
+    /// a worker that is quarantined for a job while no other worker can take the job's tasks.
     pub rest: u64,
-    /// Longest such rest or pause.
+    /// Maximum duration of this rest or pause.
     pub longest_rest: u64,
-    /// After a restart with unfinished jobs nothing is dealt for so long: workers that have lived on come back with what they
-    /// still work on, and that shall not be given to others.
+    /// After a restart with unfinished jobs, nothing is dispatched for this long. Workers that kept running reconnect with the
+    /// tasks that they still work on, and these must not be given to others.
     pub regroup: u64,
-    /// A worker on which three tasks of a job have failed in a row gets no more of that job for so long, then one task as a
-    /// probe; it doubles from probe to failed probe.
+    /// A worker on which three tasks of a job have failed in a row gets no task of that job for this long, then one task as a
+    /// probe. The time doubles with every failed probe.
     pub quarantine: u64,
-    /// Longest such time.
+    /// Maximum duration of this quarantine.
     pub longest_quarantine: u64,
-    /// Tasks that a worker holds beyond those that it runs: one that it can begin at once, and one whose result is on its
-    /// way and counts as held until it is durable.
+    /// Number of tasks that a worker holds beyond its running ones: one that it can begin immediately, and one whose result is
+    /// being uploaded and counts as held until it is durable.
     pub prefetch: u32,
     /// Milliseconds of work that may wait at a worker before a second task waits there, too.
     pub queue: u64,
-    /// Milliseconds of work that may wait at a worker beyond `prefetch`, in at most [`Config::DEEPEST`] tasks: so many short tasks
-    /// hide the network's latency.
+    /// Milliseconds of work that may wait at a worker beyond `prefetch`, in at most [`Config::DEEPEST`] tasks. Such a queue of
+    /// short tasks hides the network's latency.
     pub ahead: u64,
-    /// A lease is meant to take so long, where a task can be cut.
+    /// Intended duration of a lease, if a task can be divided.
     pub task: u64,
-    /// And so long at least, where there is too little for everybody.
+    /// Minimum intended duration of a lease when there is not enough work for all workers.
     pub least_task: u64,
-    /// A task that takes longer than this, and twice as long as expected, may be given to a second worker that is idle.
+    /// A task that takes longer than this, and more than twice as long as expected, may also be leased to a second, idle worker.
     pub late: u64,
-    /// Units of work of a task below which it is not cut; of jobs that are submitted from now on.
+    /// Units of work in a sample chunk: tasks are not divided below this size. It applies to jobs submitted from now on.
     pub grain: NonZeroU64,
-    /// A worker that was gone in mid-task and has not come back for so long is taken for dead: longer than one that lives takes
-    /// to notice and to try again.
+    /// A worker that disappeared during a task and has not come back for this long is presumed dead. The time is longer than a
+    /// living worker needs to notice the broken connection and to reconnect.
     pub presumed: u64,
-    /// A frame begins anew when no worker of its build of the engine has been there for so long, and others are.
+    /// A frame restarts when no worker of its engine build has been present for this long, and workers of other builds are.
     pub orphaned: u64,
-    /// Most bytes of what is begun or done for contents that no job needs any more, and that is kept for jobs to come; each content
-    /// counts [`Config::SHARED_OVERHEAD`] beside its own, so their number is bounded, too.
+    /// Size limit in bytes for shared jobs, finished or not, that no job needs any more and that are kept for future jobs. Each of
+    /// them counts [`Config::SHARED_OVERHEAD`] in addition to its own bytes, so their number is limited, too.
     pub shared_bytes: u64,
-    /// A job that ended so long ago is forgotten; `None`: never.
+    /// Ended jobs expire after this time; `None`: never.
     pub keep_ended: Option<u64>,
-    /// Weights of owners in the fair share of time; who is not named has 1.
+    /// Weights of owners in the fair share of time; the default weight is 1.
     pub weights: BTreeMap<String, u32>,
-    /// What one owner may have waiting.
+    /// Limits for the unfinished jobs of one owner.
     pub quota: Quota,
-    /// Unix time, in milliseconds, at which the farm's clock would have begun at 0, had it never stood still; `None`: not known.
+    /// Unix time in milliseconds at which the farm's clock would have been 0 if it had never stopped; `None`: unknown.
     pub clock_zero: Option<u64>,
 }
 
-/// What the jobs of one owner that have not ended may add up to; a job beyond is refused.
+/// Limits for the sums over one owner's jobs that have not ended. A job beyond a limit is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Quota {
-    /// Jobs: 10 000.
+    /// Maximum number of jobs: 10 000.
     pub jobs: u64,
-    /// Their frames, which have memory each once they are begun: 2^22.
+    /// Maximum number of frames, each of which needs memory once it has begun: 2^22.
     pub frames: u64,
-    /// Their tasks in all frames and rounds: 2^32.
+    /// Maximum number of tasks in all frames and rounds: 2^32.
     pub tasks: u64,
 }
 
@@ -79,24 +79,25 @@ impl Default for Quota {
 }
 
 impl Config {
-    /// Most tasks that a worker holds beyond `prefetch`.
+    /// Maximum number of tasks that a worker holds beyond `prefetch`.
     pub const DEEPEST: usize = 64;
 
-    /// Bytes that each content counts in `shared_bytes` for what the ledger keeps of it.
+    /// Bytes that each shared job counts in `shared_bytes` for its entry in the ledger.
     pub const SHARED_OVERHEAD: u64 = 64 << 10;
 
-    /// Pixel samples of a grain: some tenths of a second of one processor, seconds where light is hard to find.
+    /// Default number of pixel samples in a sample chunk: some tenths of a second of one processor, or seconds where light is hard
+    /// to find.
     pub const GRAIN: NonZeroU64 = NonZeroU64::new(1 << 15).unwrap();
 
-    /// Heartbeats in a lease.
+    /// Number of heartbeats in a lease.
     const HEARTBEATS: u64 = 10;
 
-    /// Leases of so many milliseconds and heartbeats to match.
+    /// Returns the default configuration with leases of `lease` milliseconds and matching heartbeats.
     pub fn with_lease(lease: u64) -> Self {
         Self { lease, heartbeat: lease / Self::HEARTBEATS, ..Self::default() }
     }
 
-    /// An owner's weight.
+    /// Returns an owner's weight.
     pub fn weight(&self, owner: &str) -> u32 {
         self.weights.get(owner).copied().unwrap_or(1)
     }

@@ -1,4 +1,4 @@
-//! What people ask for: submit and steer.
+//! Requests of users: submission and control of jobs.
 
 use femc_model::{Control, Cut, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick, UsageSums};
 
@@ -34,7 +34,7 @@ impl Scheduler {
         Ok(Answer::Submitted(job))
     }
 
-    /// Refuses what one owner would have too much of.
+    /// Refuses a job that would exceed its owner's quota.
     fn within_quota(&self, spec: &JobSpec) -> Result<(), Refusal> {
         let Quota { jobs, frames, tasks } = self.config.quota;
         let sizes = |spec: &JobSpec| [1, spec.frames.len() as u64, spec.tasks()];
@@ -120,8 +120,8 @@ impl Scheduler {
         Ok(Answer::Controlled(id))
     }
 
-    /// Takes back what cannot count any more: the leases of a job if it has ended, whose own stages may read frames that are lost
-    /// since, and those of all frames that cannot go on with what they share.
+    /// Revokes leases that can no longer count: those of a job that has ended (its own stages may read frames that have been lost
+    /// since), and, if a shared job is stuck, those of all blocked frames.
     pub(crate) fn revoke_ended(&mut self, id: JobId, out: &mut Vec<Command>) {
         let Some(job) = self.ledger.jobs.get(&id).filter(|job| job.has_ended()) else { return };
         let failed = self.ledger.of_people().filter(|_| job.is_stuck()).chain([(id, job)]);
@@ -133,7 +133,7 @@ impl Scheduler {
         leases.collect::<Vec<_>>().into_iter().for_each(|key| self.revoke(&key, RevokeReason::JobEnded, out));
     }
 
-    /// Takes back every lease of a job that has ended.
+    /// Revokes every lease of a job that has ended.
     pub(crate) fn revoke_all(&mut self, id: JobId, out: &mut Vec<Command>) {
         let keys: Vec<LeaseKey> = self.table.of_job(id).map(|(key, _)| key).collect();
         for key in keys {
@@ -142,7 +142,7 @@ impl Scheduler {
     }
 }
 
-/// The frames that are to be tried again, ascending and each once, if all of them are the job's.
+/// Returns the frames to retry, ascending and without duplicates. Fails if one of them is not a frame of the job.
 fn retried(job: &Job, mut frames: Vec<u32>) -> Result<Vec<u32>, Refusal> {
     let invalid = |message| Refusal::Invalid { field: "frames".into(), message };
     frames.sort_unstable();

@@ -1,4 +1,4 @@
-//! Dealing: ready tasks to workers with room, and the reasons why a task waits, from one set of predicates.
+//! Dispatch: leases ready tasks to workers with room. The reasons why a task waits are derived from the same predicates.
 
 use std::collections::BTreeSet;
 use std::ops::{ControlFlow, Range};
@@ -12,25 +12,25 @@ use crate::ready_tasks::ReadyTasks;
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
 
-/// What the search for a task of a job came to.
+/// Result of the search for a task.
 enum Pick {
     Task(TaskKey),
-    /// What a frame shares with others is to be begun: the job, the frame, the key of its content.
+    /// A shared job must begin first: the job and the frame that need it, and the key of its content.
     Begin(JobId, u32, Digest),
-    /// Ready tasks, but none for this worker.
+    /// There are ready tasks, but none for this worker.
     NotForThisWorker,
     NothingReady,
 }
 
 impl Scheduler {
-    /// Leases ready tasks until the workers or the tasks run out: the workers with the fewest tasks first, so that
-    /// no worker fetches ahead a task that another could begin at once. Each lane has its own queues: tasks that join never wait
-    /// for render tasks.
+    /// Leases ready tasks until the workers or the tasks run out. Workers with the fewest tasks come first, so that no worker
+    /// fetches a task ahead that another one could begin immediately. Each lane has its own queues: join tasks never wait for
+    /// render tasks.
     pub(crate) fn deal(&mut self, now: Tick, out: &mut Vec<Command>) {
         if now < self.deals_from {
             return;
         }
-        // The pass for tasks that compute may open frames, whose first tasks may join.
+        // The compute pass may open frames whose first tasks are join tasks.
         for lane in [Lane::Join, Lane::Compute, Lane::Join] {
             self.deal_lane(lane, now, out);
         }
@@ -58,8 +58,8 @@ impl Scheduler {
         }
     }
 
-    /// Whether there may be something to lease in a lane. Tasks that join are ready for moments only, and jobs that have none
-    /// are not searched for them.
+    /// Checks whether there may be ready tasks in a lane. Reduce tasks are ready only for moments, so jobs without any are not
+    /// searched for them.
     fn has_ready(&self, lane: Lane) -> bool {
         match lane {
             Lane::Compute => true,
@@ -67,7 +67,7 @@ impl Scheduler {
         }
     }
 
-    /// The first ready task of a lane that the worker may take: jobs in their order of service, frames in order, later
+    /// Returns the first ready task of a lane that the worker may take: jobs in their order of service, frames in order, later
     /// stages before earlier ones.
     fn pick(&mut self, id: WorkerId, lane: Lane, now: Tick) -> Pick {
         loop {
@@ -83,7 +83,8 @@ impl Scheduler {
         }
     }
 
-    /// The same among what is open; or the job of which another frame is to be opened before one can tell.
+    /// Searches the open frames like [`Self::pick`]. Continues with a job if another of its frames must be opened before the result
+    /// is known.
     fn pick_open(&self, id: WorkerId, lane: Lane, now: Tick) -> ControlFlow<Pick, JobId> {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.table.workers.get(&id) else { return ControlFlow::Break(best) };
@@ -111,7 +112,7 @@ impl Scheduler {
         ControlFlow::Break(best)
     }
 
-    /// The first ready task of a job that the worker may take in a lane, or of what the job shares with others.
+    /// Returns the first ready task of a job, or of a shared job that it waits for, that the worker may take in a lane.
     fn first_ready(&self, id: JobId, worker: WorkerId, lane: Lane, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
         let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&id), self.ready.get(&id)) else { return best };
@@ -156,7 +157,7 @@ impl Scheduler {
         best
     }
 
-    /// The first ready task of what jobs share that the worker may take in a lane.
+    /// Returns the first ready task of a shared job that the worker may take in a lane.
     fn ready_shared(&self, id: JobId, worker: WorkerId, lane: Lane, now: Tick) -> Option<TaskKey> {
         let (job, ready_tasks) = (self.ledger.jobs.get(&id)?, self.ready.get(&id)?);
         if job.has_ended() || self.is_quarantined_for(job, ready_tasks, worker, now) {
@@ -168,7 +169,7 @@ impl Scheduler {
     }
 
     /// Leases a task to a worker.
-    /// - `copy_of`: the lease of another worker that does the same.
+    /// - `copy_of`: epoch of another worker's lease of this task, if this is a copy.
     pub(crate) fn assign(
         &mut self,
         task: TaskKey,
@@ -197,7 +198,7 @@ impl Scheduler {
         out.push(Command::Assign { worker, assignment });
     }
 
-    /// Takes a run of a task out of what is ready and enters its lease.
+    /// Removes a run of a task from the ready tasks and enters its lease.
     /// - `units`: units of work of the run.
     pub(crate) fn hand_out(&mut self, key: LeaseKey, run: &Range<u32>, units: u64, worker: WorkerId, now: Tick) {
         let (task, _) = &key;
@@ -210,7 +211,7 @@ impl Scheduler {
         self.table.lease(key, run, worker, size, &self.config, now);
     }
 
-    /// What a task is, and its units of work.
+    /// Returns the description of a task for its worker, and its units of work.
     fn work(&self, task: &TaskKey, run: &Range<u32>, worker: WorkerId, now: Tick) -> Option<(Work, u64)> {
         let job = self.ledger.jobs.get(&task.job)?;
         let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
@@ -234,7 +235,7 @@ impl Scheduler {
         Some((work, grains.units(run)))
     }
 
-    /// Why tasks of this job wait; empty when none does.
+    /// Returns the reasons why tasks of this job wait; empty if none waits.
     pub(crate) fn waits(&self, id: JobId, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Vec<Wait> {
         let mut waits = Vec::new();
         for &frame in &job.blocked {
@@ -281,7 +282,9 @@ impl Scheduler {
         waits
     }
 
-    /// - `tags`, `lane`: of the stage; the tags are beside the job's.
+    /// Returns the reason why no worker takes ready tasks of a stage.
+    /// - `tags`: tags of the stage, in addition to the job's;
+    /// - `lane`: lane of the stage.
     fn why_no_worker(
         &self,
         id: JobId,
@@ -329,7 +332,7 @@ impl Scheduler {
 }
 
 impl Scheduler {
-    /// Ready tasks that are kept from the worker on which they failed last.
+    /// Counts ready tasks that are kept from the worker on which they failed last.
     fn why_avoided(&self, job: &Job, ready_tasks: &ReadyTasks) -> Option<Wait> {
         let is_kept = |(task, worker): &(&TaskKey, &WorkerId)| {
             let first = task.index..task.index + 1;
@@ -339,7 +342,7 @@ impl Scheduler {
         (tasks > 0).then_some(Wait::WorkersAvoided { tasks })
     }
 
-    /// Workers that could take it, and are not heard of.
+    /// Reports capable workers that are silent.
     fn why_silent(&self, job: &Job, now: Tick) -> Option<Wait> {
         let silent: Vec<u64> =
             self.capable(job).filter(|w| w.is_silent(&self.config, now)).map(|w| now.since(w.seen)).collect();
@@ -347,7 +350,7 @@ impl Scheduler {
         Some(Wait::WorkersSilent { workers: silent.len() as u32, seconds })
     }
 
-    /// Workers that could take it, and rest after a failure of their surroundings; the failure of the one that tries again first.
+    /// Reports capable workers that rest after an infrastructure failure, with the failure of the one that resumes first.
     fn why_in_trouble(&self, job: &Job, now: Tick) -> Option<Wait> {
         let rests = |worker: &&Worker| now < worker.rests_until && !worker.is_silent(&self.config, now);
         let next = self.capable(job).filter(rests).min_by_key(|worker| worker.rests_until)?;
@@ -356,12 +359,12 @@ impl Scheduler {
         next.trouble.clone().map(|failure| Wait::WorkersInTrouble { workers, seconds, failure })
     }
 
-    /// Workers that want tasks and have what the job asks for.
+    /// Returns the workers that accept tasks and have the job's tags.
     pub(crate) fn capable(&self, job: &Job) -> impl Iterator<Item = &Worker> {
         self.table.workers.values().filter(|worker| worker.is_open() && worker.has_tags(&job.spec.tags))
     }
 
-    /// Workers that the job does without for now.
+    /// Reports workers that are quarantined for the job.
     fn why_quarantined(&self, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
         let quarantined = |(&id, worker): (&WorkerId, &Worker)| {
             self.quarantine_left(job, ready_tasks, id, now).filter(|_| worker.has_tags(&job.spec.tags))
@@ -372,7 +375,7 @@ impl Scheduler {
     }
 }
 
-/// What a frame's next stage waits for, where nothing of the frame can be leased now.
+/// Returns the stage that a frame waits for, if no task of the frame can be leased now.
 fn why_idle(job: &Job, frame: u32) -> Option<Wait> {
     let (unit, shape) = (job.unit(frame), job.shape(frame));
     let place = unit.places(&shape).find(|&place| !unit.is_complete(&shape, place))?;
@@ -390,7 +393,8 @@ fn why_idle(job: &Job, frame: u32) -> Option<Wait> {
 }
 
 impl Scheduler {
-    /// Whether another worker may do what this one may: one of its build that wants tasks of the job, and has these tags, too.
+    /// Checks whether another worker could replace this one: it has the same build, accepts tasks of the job, has these tags, and
+    /// meets `is_one`.
     fn has_peer(&self, job: &Job, tags: &[String], worker: WorkerId, is_one: impl Fn(WorkerId) -> bool) -> bool {
         let Some(own) = self.table.workers.get(&worker) else { return false };
         self.table.workers.iter().any(|(&id, other)| {
@@ -403,13 +407,13 @@ impl Scheduler {
         })
     }
 
-    /// Whether the job's tasks keep failing on this worker, which gets none of them for a while.
+    /// Checks whether the worker is quarantined for the job, because the job's tasks keep failing on it.
     pub(crate) fn is_quarantined_for(&self, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId, now: Tick) -> bool {
         self.quarantine_left(job, ready_tasks, worker, now).is_some()
     }
 
-    /// For how many more milliseconds the worker gets no tasks of the job, because these keep failing on it: for long where another
-    /// that is trusted could take them, and else for about as long as it has failed so far; `None`: it gets tasks.
+    /// Returns the remaining milliseconds of the worker's quarantine for the job. The quarantine is long if another worker that is
+    /// not quarantined could take the tasks; otherwise it is the shorter one for a lone worker. `None`: the worker gets tasks.
     fn quarantine_left(&self, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId, now: Tick) -> Option<u64> {
         let quarantine = &ready_tasks.quarantine;
         let left = |id| quarantine.quarantines(self.table.instance(id)?, now);
@@ -417,13 +421,13 @@ impl Scheduler {
         with_peer.or_else(|| quarantine.quarantines_alone(self.table.instance(worker)?, now))
     }
 
-    /// Whether the worker has what the task's stage asks for, and is not to be spared the task.
+    /// Checks that the worker has the tags of the task's stage, and that the task is not kept from it.
     pub(crate) fn may_take(&self, task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId) -> bool {
         self.table.has_tags(worker, job.tags_of(task.stage.number)) && !self.is_avoided(task, job, ready_tasks, worker)
     }
 
-    /// Whether the task failed last on this very worker, and another that could take it is there: not one on which the job's tasks
-    /// keep failing, or each would wait for the other.
+    /// Checks whether the task is kept from this worker: it failed last on this worker, and another worker could take it. A worker
+    /// on which the job's tasks keep failing does not count as another, or each would wait for the other.
     fn is_avoided(&self, task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId) -> bool {
         let is_trusted =
             |id| self.table.instance(id).is_some_and(|instance| !ready_tasks.quarantine.is_in_doubt(instance));

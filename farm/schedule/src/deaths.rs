@@ -1,15 +1,15 @@
-//! Workers that die while they compute, and what that says of the task.
+//! Deaths of workers during tasks, and their consequences for the tasks.
 //!
-//! A death is **known** if the worker comes back and its own journal names the task. It is **presumed** if a session broke, or its
-//! leases ran out in silence, while the task was being computed, and the process has not come back within
-//! [`Config::presumed`](crate::Config::presumed); should it come back later, its link was lost, and the death is taken back. What
-//! was being computed is what was heard to be; if nothing was, the oldest lease. A worker that is drained, or leaves, dies of
-//! nothing.
+//! A death is **known** if the worker comes back and its own journal names the task. A death is **presumed** if a session broke, or
+//! its leases expired in silence, while the task was being computed, and the process has not come back within
+//! [`Config::presumed`](crate::Config::presumed). If the process comes back later, only its link was lost, and the death is
+//! withdrawn. The computed tasks are those that the worker reported as such, or, without a report, its oldest lease. A worker that
+//! is drained or leaves does not count as dead.
 //!
-//! Five deaths put a task aside, unless all are of one worker and some only presumed: then it may be the machine. Who kills
-//! workers by hand does no harm, but to a task that he hits five times before it is done. A death counts against every part of what
-//! the lease covered, and these are leased one by one from then on; not while another lease covers any of it, which may yet be
-//! done. What a worker merely made ready ahead is not named.
+//! Five deaths quarantine a task, unless all are of one worker and some only presumed: then the machine may be the cause. Killing
+//! workers by hand is harmless, unless it hits the same task five times before the task is done. A death counts against every part
+//! of the lease, and these parts are leased one by one from then on. It does not count while another lease covers any of them,
+//! because that lease may still succeed. Tasks that a worker merely prepared ahead are not counted.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -22,23 +22,23 @@ use crate::ledger::Ledger;
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
 
-/// How one knows of a death.
+/// Evidence of a death.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Evidence {
     /// The worker has not come back.
     Presumed,
-    /// By the worker's own journal.
+    /// The worker's own journal.
     Journal,
 }
 
-/// A worker's death, of what it computed under one lease.
+/// A worker's death while it computed a task under one lease.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Casualty {
     /// Epoch of the lease.
     pub epoch: Epoch,
-    /// The worker's name.
+    /// Name of the worker.
     pub worker: String,
-    /// Its process.
+    /// Process of the worker.
     pub instance: u64,
     /// Evidence of the death: reported by the worker, or presumed.
     pub evidence: Evidence,
@@ -49,7 +49,7 @@ struct Pending {
     task: TaskKey,
     run: Range<u32>,
     casualty: Casualty,
-    /// It does not count before.
+    /// Time from which the death counts.
     from: Tick,
 }
 
@@ -57,7 +57,7 @@ struct Pending {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Deaths {
     pending: Vec<Pending>,
-    /// Processes of which a presumed death counts.
+    /// Processes with a presumed death that counts.
     presumed: BTreeSet<u64>,
 }
 
@@ -68,7 +68,7 @@ impl Deaths {
 }
 
 impl Scheduler {
-    /// What a worker is computing, as far as one can tell.
+    /// Returns the leases that a worker is probably computing.
     fn computed(&self, worker: WorkerId) -> Vec<LeaseKey> {
         let held = self.table.held(worker);
         let phase = |key: &LeaseKey| self.table.leases.get(key).map_or(Phase::Waiting, |lease| lease.phase);
@@ -78,11 +78,11 @@ impl Scheduler {
         held.into_iter().filter(|key| matches!(phase(key), Phase::Preparing | Phase::Working)).collect()
     }
 
-    /// A worker may be dead: what it computes under these leases may have killed it.
+    /// Notes that a worker may have died of the tasks that it computes under the affected leases.
     pub(crate) fn presume_death(&mut self, worker: WorkerId, is_affected: impl Fn(&LeaseKey) -> bool, now: Tick) {
         let computed = self.computed(worker);
         let Some(known) = self.table.workers.get(&worker).filter(|known| known.is_open()) else { return };
-        // A process dies once: what it has been given since it was heard last is not what it computed.
+        // A process dies once. Leases that it was granted after its last message were not what it computed.
         let is_of_it = |casualty: &Casualty| {
             (casualty.instance, casualty.evidence) == (known.registration.instance, Evidence::Presumed)
         };
@@ -99,7 +99,7 @@ impl Scheduler {
         }
     }
 
-    /// A process is heard: it is not dead.
+    /// Withdraws the presumed deaths of a process that has sent a message.
     pub(crate) fn lives(&mut self, instance: u64, now: Tick, out: &mut Vec<Command>) {
         let is_of_it = |casualty: &Casualty| (casualty.instance, casualty.evidence) == (instance, Evidence::Presumed);
         self.deaths.pending.retain(|pending| !is_of_it(&pending.casualty));
@@ -108,7 +108,7 @@ impl Scheduler {
         }
     }
 
-    /// The same of a session's process.
+    /// Withdraws the presumed deaths of a session's process.
     pub(crate) fn note_alive(&mut self, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
         if self.deaths.pending.is_empty() && self.deaths.presumed.is_empty() {
             return;
@@ -118,7 +118,7 @@ impl Scheduler {
         }
     }
 
-    /// A worker comes back and says how it ended: what its journal names has killed it, and nothing else has.
+    /// Handles the report of a returning worker about its death: the tasks in its journal killed it, and no others.
     pub(crate) fn report_death(&mut self, worker: WorkerId, death: &Death, now: Tick, out: &mut Vec<Command>) {
         self.lives(death.instance, now, out);
         if self.ledger.side.is_drained(death.instance) {
@@ -133,7 +133,7 @@ impl Scheduler {
         }
     }
 
-    /// A worker comes of whose name one has died: another is to do what that one did.
+    /// Keeps a joining worker from the tasks of which a worker of its name has died, so that another worker does them.
     pub(crate) fn avoid_after_death(&mut self, worker: WorkerId) {
         let Some(known) = self.table.workers.get(&worker) else { return };
         for Pending { task, run, casualty, .. } in &self.deaths.pending {
@@ -146,7 +146,7 @@ impl Scheduler {
         }
     }
 
-    /// The keys of a lease that a worker speaks of, if it is of this farm.
+    /// Returns the keys of a lease that a worker reports, if it is a lease of this farm.
     pub(crate) fn run_of(&self, HeldLease { task, steps, job: key, .. }: &HeldLease) -> Option<Range<u32>> {
         let job = self.ledger.jobs.get(&task.job).filter(|job| job.spec.key() == *key)?;
         let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
@@ -179,7 +179,8 @@ impl Scheduler {
         }
     }
 
-    /// A person gives the job's tasks another chance: what is not counted yet is forgotten.
+    /// Discards deaths that do not count yet, because a person retries the job's tasks.
+    /// - `is_meant`: selects the frames.
     pub(crate) fn forget_deaths(&mut self, job: JobId, is_meant: impl Fn(u32) -> bool) {
         self.deaths.pending.retain(|pending| pending.task.job != job || !is_meant(pending.task.stage.frame));
     }

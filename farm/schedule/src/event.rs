@@ -1,4 +1,4 @@
-//! What the scheduler is told, and what it asks for.
+//! Events that the scheduler receives, and commands that it returns.
 
 use femc_model::{
     Assignment, AttemptRecord, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Month, Refusal, Registration,
@@ -7,31 +7,31 @@ use femc_model::{
 
 use crate::Fact;
 
-/// Name of a request, so that its answer finds the way back.
+/// Number of a request, by which its answer is returned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RequestId(pub u64);
 
-/// Something happened.
+/// An event.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     /// A job was submitted.
     Submitted {
-        /// Number of the request, which the answer names.
+        /// Number of the request, for the answer.
         request: RequestId,
-        /// A second submission with this key is the same job.
+        /// Key of the submission; a second submission with this key returns the same job.
         key: Option<String>,
-        /// The job.
+        /// Specification of the job.
         spec: Box<JobSpec>,
-        /// Calendar date: Unix time in milliseconds; `None`: not known.
+        /// Calendar date: Unix time in milliseconds; `None`: unknown.
         date: Option<u64>,
     },
-    /// A person steers a job.
+    /// A person controls a job.
     Controlled {
-        /// Number of the request, which the answer names.
+        /// Number of the request, for the answer.
         request: RequestId,
         /// The job.
         job: JobId,
-        /// What is done to the job.
+        /// Action on the job.
         control: Control,
     },
     /// A worker's session began. The caller numbers sessions and never uses a number twice.
@@ -46,31 +46,31 @@ pub enum Event {
         /// The session.
         worker: WorkerId,
     },
-    /// A worker wants no more tasks.
+    /// A worker accepts no more tasks.
     Draining {
         /// The session.
         worker: WorkerId,
     },
-    /// A worker wants tasks again.
+    /// A worker accepts tasks again.
     Available {
         /// The session.
         worker: WorkerId,
     },
-    /// An operator lets a worker have no more tasks, or tasks again.
+    /// An operator drains a worker, or ends its drain.
     Drained {
         /// The session.
         worker: WorkerId,
         /// Whether the drain begins or ends.
         drain: Drain,
     },
-    /// A worker says how far it is.
+    /// A worker reports the progress of its tasks.
     Heartbeat {
         /// The session.
         worker: WorkerId,
-        /// Its tasks.
+        /// Progress of its tasks.
         tasks: Vec<TaskProgress>,
     },
-    /// What a worker wrote down during an attempt; comes before the attempt's outcome.
+    /// A worker reports the log of an attempt, before the attempt's outcome.
     Logged {
         /// The session.
         worker: WorkerId,
@@ -78,17 +78,17 @@ pub enum Event {
         task: TaskKey,
         /// Epoch of the lease.
         epoch: Epoch,
-        /// The log; one that is stored is in the store.
+        /// The log; its text is inline or already in the store.
         log: TaskLog,
     },
-    /// What a lease took; comes before the attempt's outcome, or after the lease is over.
+    /// A worker reports the usage of a lease, before the attempt's outcome or after the lease is over.
     Usage {
         /// The session.
         worker: WorkerId,
         /// Lease and its usage.
         usage: TaskUsage,
     },
-    /// A worker has done a task; the artifacts are in the store.
+    /// A worker has completed a task; the artifacts are in the store.
     Completed {
         /// The session.
         worker: WorkerId,
@@ -99,7 +99,7 @@ pub enum Event {
         /// Result of the task.
         result: TaskResult,
     },
-    /// A worker has done a task, and an artifact of its result is not in the store.
+    /// A worker has completed a task, but an artifact of its result is not in the store.
     ArtifactMissing {
         /// The session.
         worker: WorkerId,
@@ -107,12 +107,12 @@ pub enum Event {
         task: TaskKey,
         /// Epoch of the lease.
         epoch: Epoch,
-        /// Digest of the artifact that is missing.
+        /// Digest of the missing artifact.
         artifact: Digest,
         /// Error of the store.
         message: String,
     },
-    /// A worker has not done a task.
+    /// A worker has failed at a task.
     Failed {
         /// The session.
         worker: WorkerId,
@@ -123,42 +123,42 @@ pub enum Event {
         /// Failure of the attempt.
         failure: Failure,
     },
-    /// An artifact that somebody wanted is not in the store, or was damaged and is removed.
+    /// A requested artifact is not in the store, or was damaged and has been removed.
     Lost {
         /// Digest of the artifact.
         digest: Digest,
     },
-    /// Everybody who is to be told of a job's end was told.
+    /// The end of a job was announced to all recipients.
     Announced {
         /// The job.
         job: JobId,
         /// Time of the end.
         ended: Tick,
     },
-    /// The calendar says that this is the month; usage is summed by month, and not at all before the first one is named.
+    /// The present month by the calendar. Usage is summed by month, and only after the first of these events.
     Month(Month),
-    /// Time went by.
+    /// Time has passed.
     Elapsed,
-    /// The coordinator stood still for a while: heartbeats that renew leases, and registrations that bring leases along, may wait
-    /// to be read.
+    /// The coordinator was stalled for a while: heartbeats that renew leases, and registrations with held leases, may still be
+    /// unread.
     LoopStalled,
 }
 
-/// Something is to be done, in this order.
+/// An action for the caller. Commands are executed in their order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Command {
     /// Make this durable before any other command of the same call is executed.
     Record(Fact),
-    /// Keep this with the job, as durable as the facts; nothing follows from it.
+    /// Store this record with the job, as durably as the facts; no state depends on it.
     Note(Box<AttemptRecord>),
-    /// Tell a worker to do a task.
+    /// Assign a task to a worker.
     Assign {
         /// The session.
         worker: WorkerId,
         /// The lease.
         assignment: Assignment,
     },
-    /// Tell a worker to stop a task.
+    /// Revoke a worker's lease of a task.
     Revoke {
         /// The session.
         worker: WorkerId,
@@ -169,7 +169,7 @@ pub enum Command {
         /// Reason for the revocation.
         reason: RevokeReason,
     },
-    /// Tell a worker that its report counts.
+    /// Acknowledge a worker's report, which counts.
     Accept {
         /// The session.
         worker: WorkerId,
@@ -178,7 +178,7 @@ pub enum Command {
         /// Epoch of the lease.
         epoch: Epoch,
     },
-    /// Tell a worker that its report changed nothing.
+    /// Refuse a worker's report, which changed nothing.
     Refuse {
         /// The session.
         worker: WorkerId,
@@ -189,7 +189,7 @@ pub enum Command {
         /// Reason for the refusal.
         refusal: Refusal,
     },
-    /// End the session of a worker that has begun another.
+    /// End the session of a worker that has begun another one.
     Dismiss {
         /// The session.
         worker: WorkerId,
@@ -203,23 +203,23 @@ pub enum Command {
     },
     /// A job's status has changed.
     Changed(JobId),
-    /// Something refers to these artifacts no longer: those to which nothing else does may go, see
+    /// These artifacts have lost a reference. Those without any other reference may be removed: see
     /// [`crate::Scheduler::unreferenced`].
     Discard(Vec<Digest>),
 }
 
 impl Command {
-    /// Whether it says something to be kept, in the log or beside it: that comes before all others are executed.
+    /// Checks whether the command stores something in or beside the log. Such commands are executed before all others.
     pub fn is_for_log(&self) -> bool {
         matches!(self, Self::Record(_) | Self::Note(_))
     }
 }
 
-/// What came of a request.
+/// Answer to a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
-    /// The job is in the queue, now or from before.
+    /// The job is in the queue, newly or from an earlier submission.
     Submitted(JobId),
-    /// It was done to the job.
+    /// The action on the job is done.
     Controlled(JobId),
 }

@@ -1,4 +1,4 @@
-//! What has happened for good: the entries of the log.
+//! Facts: permanent changes, the entries of the log.
 
 use femc_model::{
     Control, Cut, Digest, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, OwnerUsage, TaskKey, TaskResult, Tick,
@@ -7,63 +7,63 @@ use serde::{Deserialize, Serialize};
 
 use crate::Casualty;
 
-/// What an owner has used, and where that puts him.
+/// Time that an owner has used, and the resulting place in the order of service.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Used {
-    /// Milliseconds of workers that his leases have held.
+    /// Milliseconds of worker time that the owner was charged.
     pub held: u64,
-    /// Place in the order of service, as in weighted fair queueing: the lowest goes first. Grows with the time used, the slower
-    /// the greater the owner's weight is at the time, and to that of the others when he comes back after an absence.
+    /// Place in the order of service, as in weighted fair queueing: the lowest is served first. It grows with the used time,
+    /// divided by the owner's weight at that time. When an owner returns after an absence, it rises to the level of the others.
     pub virtual_time: u64,
 }
 
 /// A change of the [`Ledger`](crate::Ledger).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Fact {
-    /// A coordinator has begun; leases of the ones before are void.
+    /// A coordinator has started; all leases of earlier ones are void.
     Opened {
-        /// Greater than any before.
+        /// Incarnation of the coordinator, greater than all before.
         incarnation: u32,
     },
-    /// A job was taken.
+    /// A job was accepted.
     Submitted {
-        /// Its number.
+        /// Number of the job.
         job: JobId,
-        /// A second submission with this key is the same job.
+        /// Key of the submission; a second submission with this key returns the same job.
         key: Option<String>,
         /// Specification of the job, as submitted.
         spec: Box<JobSpec>,
-        /// How finely its tasks are cut.
+        /// Granularity at which its tasks are divided.
         cut: Cut,
-        /// Calendar date: Unix time in milliseconds; `None`: not known.
+        /// Calendar date: Unix time in milliseconds; `None`: unknown.
         #[serde(deserialize_with = "femc_model::since_version_10")]
         date: Option<u64>,
-        /// Whether its ends are announced; earlier versions of the log announce none.
+        /// Whether its ends are announced; never for jobs from earlier versions of the log.
         #[serde(deserialize_with = "femc_model::since_version_11")]
         announces: bool,
     },
-    /// The stages of a content are begun, for all jobs that need them, by one build of the engine.
+    /// A shared job has begun: one build of the engine does the stages of a content for all jobs that need them.
     Shared {
-        /// Its number: [`JobId::shared`].
+        /// Number of the shared job: [`JobId::shared`].
         job: JobId,
-        /// Of the content.
+        /// Key of the content.
         key: Digest,
-        /// The build.
+        /// Build of the engine.
         engine: String,
-        /// What to do: the job that needed it first, of one frame.
+        /// Specification: that of the first job that needs it, with one frame.
         spec: Box<JobSpec>,
-        /// How finely its tasks are cut.
+        /// Granularity at which its tasks are divided.
         cut: Cut,
     },
-    /// A task was done, or some of its grains; what its result decides follows from it.
+    /// A task or some of its sample chunks are done; the decision in the result takes effect.
     Done {
-        /// Which; its index is the first of the lease's grains.
+        /// The task; its index is the first sample chunk of the lease.
         task: TaskKey,
-        /// End of the lease's grains.
+        /// End of the lease's sample chunks.
         end: u32,
-        /// Of the lease that did it.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// When that lease was granted.
+        /// Time at which the lease was granted.
         leased: Tick,
         /// Result of the task.
         result: Box<TaskResult>,
@@ -72,17 +72,17 @@ pub enum Fact {
     Failed {
         /// The task.
         task: TaskKey,
-        /// Leases of it that were granted before are over: what comes of them counts no more.
+        /// Earlier leases of the task are over: their outcomes no longer count.
         until: Epoch,
         /// Failure of the attempt.
         failure: Failure,
     },
-    /// Outputs of a task that others need are gone: it is to be done again, and what it reads, where that is gone, too.
+    /// Outputs of a task that others need are lost. The task must run again, and so must the producers of its inputs that are lost.
     Lost {
-        /// The task that had made it.
+        /// The task that made the outputs.
         task: TaskKey,
     },
-    /// A result of a finished frame is gone, or its build of the engine: the frame begins anew.
+    /// A result of a finished frame is lost, or its build of the engine is gone: the frame restarts.
     Restarted {
         /// The job.
         job: JobId,
@@ -96,29 +96,29 @@ pub enum Fact {
         /// Failure that ends the job.
         failure: Failure,
     },
-    /// A person steered the job.
+    /// A person controlled the job.
     Controlled {
         /// The job.
         job: JobId,
-        /// What is done to the job.
+        /// Action on the job.
         control: Control,
     },
-    /// An operator let a worker have no more tasks, or tasks again.
+    /// An operator drained a worker, or ended its drain.
     Drained {
-        /// The worker's process.
+        /// Process of the worker.
         instance: u64,
         /// Whether the drain begins or ends.
         drain: Drain,
     },
-    /// A worker wrote something down during an attempt.
+    /// The log of an attempt is in the store.
     Logged(Box<LogRecord>),
-    /// A job that had ended was forgotten, with its key and its logs.
+    /// An ended job was removed, with its key and its logs.
     Forgotten {
         /// The job.
         job: JobId,
     },
-    /// The first result of a frame is about to count: it and all others come from one build of the engine. Until the frame is
-    /// finished, or begins anew.
+    /// The first result of a frame is about to count: all its results come from this build of the engine, until the frame is
+    /// finished or restarts.
     Built {
         /// The job.
         job: JobId,
@@ -131,31 +131,31 @@ pub enum Fact {
     Died {
         /// The task.
         task: TaskKey,
-        /// End of the lease's grains, which begin with the task's key.
+        /// End of the lease's sample chunks, which begin with the task's index.
         end: u32,
-        /// Who, and how one knows.
+        /// Worker that died, and the evidence.
         casualty: Casualty,
     },
-    /// A process of which deaths were presumed has come back.
+    /// A process that was presumed dead has come back.
     Lives {
-        /// The worker's process.
+        /// Process of the worker.
         instance: u64,
     },
-    /// What owners have used, of those of whom it has changed.
+    /// The used time of some owners has changed.
     Used {
-        /// By owner.
+        /// Used time by owner.
         owners: Vec<(String, Used)>,
     },
-    /// Owners' usage of a month, as it is now, of those of whom it has changed.
+    /// The usage of some owners in a month has changed.
     Metered {
-        /// Each replaces the usage of its owner and month.
+        /// New usage; each entry replaces the usage of its owner and month.
         usage: Vec<OwnerUsage>,
     },
-    /// Everybody who is to be told of a job's end was told.
+    /// The end of a job was announced to all recipients.
     Announced {
         /// The job.
         job: JobId,
-        /// Time of the end; where the job has ended once more since, that end is not announced.
+        /// Time of the end. If the job has ended again since, the new end is not yet announced.
         ended: Tick,
     },
 }

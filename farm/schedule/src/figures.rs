@@ -1,45 +1,46 @@
-//! How much there is of everything, for those who watch the farm as a whole.
+//! Total numbers of jobs, tasks, leases and workers, for monitoring the farm.
 
 use femc_model::{Intake, JobId, JobState, StageKind, Tick};
 
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
 
-/// The farm in numbers.
+/// Key figures of the farm.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Figures {
-    /// Jobs, by where they stand.
+    /// Number of jobs by state.
     pub jobs: Vec<(JobState, u64)>,
-    /// Tasks that could be leased now, by what they do: of tiles that are cut each part, of which a lease may cover several.
+    /// Number of tasks that could be leased now, by kind. Divided tasks count each sample chunk, of which a lease may cover
+    /// several.
     pub ready: Vec<(StageKind, u64)>,
-    /// Leases, by what they are for.
+    /// Number of leases by kind.
     pub leased: Vec<(StageKind, u64)>,
-    /// Tasks that used up their attempts.
+    /// Number of quarantined tasks.
     pub quarantined: u64,
-    /// Pixel samples that the unfinished frames of jobs that run may still take.
+    /// Number of pixel samples that the unfinished frames of running jobs may still take.
     pub samples_left: u64,
-    /// Workers that are there, by whether they get tasks.
+    /// Number of connected workers by standing.
     pub workers: Vec<(WorkerStanding, u64)>,
-    /// Threads of these workers that render.
+    /// Number of render threads of these workers.
     pub threads: u64,
-    /// Milliseconds of workers that owners were ever charged for.
+    /// Milliseconds of worker time charged to owners so far.
     pub used: u64,
-    /// Messages refused because their lease was over, since the start.
+    /// Number of messages refused since the start because their lease was over.
     pub stale_messages: u64,
 }
 
-/// Whether a worker gets tasks.
+/// State of a worker with respect to tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WorkerStanding {
-    /// It holds a task.
+    /// The worker holds a task.
     Busy,
-    /// It would take one.
+    /// The worker would accept a task.
     Idle,
-    /// It rests after a failure of its surroundings, or has not been heard of for a while.
+    /// The worker rests after an infrastructure failure, or is silent.
     Unfit,
-    /// It wants none: it is leaving, or off duty.
+    /// The worker accepts no tasks: it is leaving or off duty.
     Off,
-    /// An operator has drained it.
+    /// An operator has drained the worker.
     Drained,
 }
 
@@ -52,7 +53,7 @@ const STATES: [JobState; 6] =
 const KINDS: [StageKind; StageKind::ALL.len()] = StageKind::ALL;
 
 impl Scheduler {
-    /// The farm in numbers. Walks all jobs, leases and workers.
+    /// Computes the key figures. Visits all jobs, leases and workers.
     pub fn figures(&self, now: Tick) -> Figures {
         let mut left = 0_u64;
         let mut ready = [0; KINDS.len()];
@@ -80,7 +81,7 @@ impl Scheduler {
         }
     }
 
-    /// Tasks of a job that could be leased now, by kind; what nobody has begun counts with its first round.
+    /// Counts the tasks of a job that could be leased now, by kind. Frames that have not begun count with their first round.
     fn ready(&self, id: JobId, job: &Job) -> [u64; KINDS.len()] {
         let Some(ready_tasks) = self.ready.get(&id) else { return [0; KINDS.len()] };
         let mut ready = [0; KINDS.len()];
@@ -125,7 +126,7 @@ fn quarantined(job: &Job) -> u64 {
     job.units.values().map(|unit| unit.quarantined().count() as u64).sum()
 }
 
-/// How many of `things` are of each kind, also of those of which there is none.
+/// Counts how many of `things` are of each kind, including kinds without any.
 fn count<K: Copy + PartialEq>(kinds: &[K], things: &[K]) -> Vec<(K, u64)> {
     kinds.iter().map(|kind| (*kind, things.iter().filter(|thing| *thing == kind).count() as u64)).collect()
 }

@@ -1,4 +1,4 @@
-//! Who gets more tasks: what workers want for themselves, and what an operator says.
+//! Intake of workers: whether they accept tasks themselves, and whether an operator has drained them.
 
 use femc_model::{Drain, Intake, Tick, WorkerId, WorkerName};
 
@@ -6,7 +6,7 @@ use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
 
 impl Scheduler {
-    /// A worker wants tasks, or none.
+    /// Sets whether a worker accepts tasks.
     pub(crate) fn wish(&mut self, worker: WorkerId, wish: Intake) {
         if let Some(known) = self.table.workers.get_mut(&worker) {
             known.wish = wish;
@@ -14,7 +14,7 @@ impl Scheduler {
         self.note_intake(worker);
     }
 
-    /// An operator's word; it holds for the worker's process, over sessions and the coordinator's restarts.
+    /// Drains a worker or ends its drain. This holds for the worker's process, across sessions and restarts of the coordinator.
     pub(crate) fn drained(&mut self, worker: WorkerId, drain: Drain, now: Tick, out: &mut Vec<Command>) {
         let Some(instance) = self.table.instance(worker) else { return };
         if self.ledger.side.is_drained(instance) != (drain == Drain::Begin) {
@@ -23,7 +23,7 @@ impl Scheduler {
         self.note_intake(worker);
     }
 
-    /// The operator's word goes first.
+    /// Updates a worker's intake; a drain by an operator has precedence.
     pub(crate) fn note_intake(&mut self, worker: WorkerId) {
         if let Some(known) = self.table.workers.get_mut(&worker) {
             let is_drained = self.ledger.side.is_drained(known.registration.instance);
@@ -31,7 +31,7 @@ impl Scheduler {
         }
     }
 
-    /// The sessions that people mean by this, in order of joining.
+    /// Returns the sessions with this number or name, in order of joining.
     pub fn named(&self, name: &WorkerName) -> Vec<WorkerId> {
         match name {
             WorkerName::Number(worker) => self.table.workers.keys().filter(|known| *known == worker).copied().collect(),

@@ -1,4 +1,4 @@
-//! Who is there and who holds what: the half of the state that a restart forgets.
+//! Workers and their leases: the volatile half of the state, which a restart discards.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
@@ -11,46 +11,46 @@ use crate::Config;
 use crate::affinity::Locality;
 use crate::leases::Leases;
 
-/// A lease's name: a task may be leased twice, see `speculate.rs`.
+/// Key of a lease. A task may be leased twice, see `speculate.rs`.
 pub(crate) type LeaseKey = (TaskKey, Epoch);
 
 /// A worker's session.
 #[derive(Debug, Clone)]
 pub(crate) struct Worker {
     pub(crate) registration: Registration,
-    /// Its leases, oldest first: in each lane it works on the first of those that it has not finished.
+    /// Its leases, oldest first. In each lane it works on the first unfinished ones.
     pub(crate) held: VecDeque<Held>,
     /// Sums over `held`, by lane.
     queues: [Queue; Lane::ALL.len()],
-    /// Until then its time is charged, while it holds something.
+    /// Time up to which it is charged, while it holds a lease.
     charged: Tick,
     /// Intake that the worker wants: `Open` or `Off`.
     pub(crate) wish: Intake,
     /// Intake that the scheduler grants it.
     pub(crate) intake: Intake,
-    /// Last message.
+    /// Time of its last message.
     pub(crate) seen: Tick,
-    /// Last progress of any of its tasks.
+    /// Time of the last progress of any of its tasks.
     pub(crate) moved: Tick,
-    /// No tasks until then.
+    /// Time until which it gets no tasks.
     pub(crate) rests_until: Tick,
-    /// Failures of its surroundings in a row.
+    /// Number of infrastructure failures in a row.
     pub(crate) mishaps: u32,
-    /// The last of them.
+    /// The last infrastructure failure.
     pub(crate) trouble: Option<Failure>,
     pub(crate) completed: u64,
     pub(crate) failed: u64,
     pub(crate) locality: Locality,
 }
 
-/// A lease in the hands of a worker.
+/// A lease that a worker holds.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Held {
     pub(crate) epoch: Epoch,
     pub(crate) task: TaskKey,
-    /// Milliseconds that the task is expected to take, by the pace of its own stage.
+    /// Expected duration of the task in milliseconds, from the pace of its stage.
     expected: u64,
-    /// The worker has computed it and sends its result.
+    /// Whether the worker has computed the task and uploads its result.
     is_uploading: bool,
 }
 
@@ -64,19 +64,19 @@ impl Held {
     }
 }
 
-/// What a worker holds in one lane.
+/// Summary of the leases that a worker holds in one lane.
 #[derive(Debug, Clone, Copy, Default)]
 struct Queue {
     leases: usize,
-    /// Leases whose result is on its way.
+    /// Number of leases whose result is being uploaded.
     uploading: usize,
-    /// Milliseconds that all of them are expected to take.
+    /// Sum of the expected durations in milliseconds.
     expected: u64,
 }
 
 impl Worker {
-    /// Number of leases that count against its room in a lane. For tasks that join, these are the leases of that lane alone, so that
-    /// no render task delays them.
+    /// Number of leases that count against its room in a lane. For join tasks, only the leases of that lane count, so that no
+    /// render task delays them.
     fn load(&self, lane: Lane) -> usize {
         match lane {
             Lane::Compute => self.held.len(),
@@ -102,7 +102,7 @@ impl Worker {
         }
     }
 
-    /// The task is computed, and its result is on its way.
+    /// Notes that the task is computed and its result is being uploaded.
     fn note_uploading(&mut self, (task, epoch): &LeaseKey) {
         let Ok(place) = self.held.binary_search_by_key(&(*epoch, *task), Held::place) else { return };
         let held = &mut self.held[place];
@@ -110,7 +110,7 @@ impl Worker {
         self.queues[held.lane() as usize].uploading += usize::from(is_new);
     }
 
-    /// Milliseconds that the tasks of a lane which run now are expected to take: the first ones that are not finished.
+    /// Expected milliseconds of the running tasks of a lane: the first unfinished ones.
     fn running(&self, lane: Lane) -> u64 {
         if self.queues[lane as usize].leases == 0 {
             return 0;
@@ -119,8 +119,8 @@ impl Worker {
         unfinished.take(self.slots()).fold(0, |sum, held| sum.saturating_add(held.expected))
     }
 
-    /// Whether it may be given one more task of this lane. What waits there is worth at most some seconds beyond what runs, by the
-    /// pace of the stages that the waiting tasks belong to.
+    /// Checks whether it may get one more task of this lane. The waiting tasks are limited to some seconds of work beyond the
+    /// running ones, according to the pace of their stages.
     pub(crate) fn has_room(&self, lane: Lane, config: &Config) -> bool {
         let (slots, load, queue) = (self.slots(), self.load(lane), self.queues[lane as usize]);
         let waiting = || queue.expected.saturating_sub(self.running(lane));
@@ -136,7 +136,7 @@ impl Worker {
         self.registration.slots.max(1) as usize
     }
 
-    /// Its time until now, of which its oldest lease is this one, of this job.
+    /// Bills its time until now to the job of its oldest lease.
     fn bill(&mut self, job: JobId, oldest: &mut Lease, now: Tick) -> Bill {
         let milliseconds = now.since(std::mem::replace(&mut self.charged, now));
         let expected = milliseconds.min(oldest.claim);
@@ -148,95 +148,95 @@ impl Worker {
         tags.iter().all(|tag| self.registration.tags.contains(tag))
     }
 
-    /// Whether it gets more tasks.
+    /// Checks whether it gets more tasks.
     pub(crate) fn is_open(&self) -> bool {
         self.intake == Intake::Open
     }
 
-    /// Whether it is there, well, and wants work.
+    /// Checks whether it is open, does not rest, and is not silent.
     pub(crate) fn is_fit(&self, config: &Config, now: Tick) -> bool {
         self.is_open() && now >= self.rests_until && !self.is_silent(config, now)
     }
 
-    /// Whether it has not been heard of for as long as a lease lasts.
+    /// Checks whether its last message is at least a lease's duration old.
     pub(crate) fn is_silent(&self, config: &Config, now: Tick) -> bool {
         now.since(self.seen) >= config.lease
     }
 }
 
-/// A worker's time that is to be charged: it belongs to the oldest lease that the worker holds.
+/// A worker's time to be charged to the job of the oldest lease that the worker holds.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bill {
     pub(crate) job: JobId,
     pub(crate) milliseconds: u64,
-    /// How many of them were expected.
+    /// Part of `milliseconds` that the lease had claimed.
     pub(crate) expected: u64,
 }
 
-/// How much a task is.
+/// Size of a task.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Size {
     /// Units of work.
     pub(crate) units: u64,
-    /// Milliseconds that it is expected to take.
+    /// Expected duration in milliseconds.
     pub(crate) milliseconds: u64,
 }
 
-/// A task in a worker's hands.
+/// A lease of a task to a worker.
 #[derive(Debug, Clone)]
 pub(crate) struct Lease {
     pub(crate) worker: WorkerId,
-    /// The end of its run of grains; it begins with the task's key.
+    /// End of its run of sample chunks, which begins with the task's index.
     end: u32,
     pub(crate) size: Size,
-    /// Milliseconds that it is expected to take yet: its owner's claim.
+    /// Remaining expected milliseconds: its owner's claim.
     pub(crate) claim: u64,
     pub(crate) granted: Tick,
     pub(crate) deadline: Tick,
-    /// Last progress.
+    /// Time of the last progress.
     moved: Tick,
     pub(crate) phase: Phase,
-    /// When its worker began to compute, at the earliest.
+    /// Earliest possible time at which its worker began to compute.
     began: Option<Tick>,
-    /// Units of work, or inputs joined.
+    /// Finished units of work, or joined inputs.
     done: u64,
 }
 
 impl Lease {
-    /// The grains that it covers.
+    /// Returns the sample chunks that it covers.
     pub(crate) fn run(&self, task: &TaskKey) -> Range<u32> {
         task.index..self.end
     }
 
-    /// Units of work of a task that is cut, so far, as heard.
+    /// Returns the reported units of work so far, if its task is divided into sample chunks; otherwise 0.
     pub(crate) fn units(&self, task: &TaskKey) -> u64 {
         if task.stage.kind.is_cut() { self.done } else { 0 }
     }
 
-    /// Milliseconds and units of its computation so far, as heard; `None` before there are any.
+    /// Returns the milliseconds and units of its computation so far, as reported; `None` before the first units.
     pub(crate) fn progress(&self, task: &TaskKey) -> Option<(u64, u64)> {
         let (began, units) = (self.began?, self.units(task));
         (units > 0).then(|| (self.moved.since(began), units))
     }
 }
 
-/// Workers and leases; each lease is also in its worker's `held`.
+/// Workers and leases. Each lease is also in its worker's `held`.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LeaseTable {
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
     pub(crate) leases: Leases,
-    /// Leases that were granted as second ones of their tasks. Few: without any, no task needs a look for its other lease.
+    /// Leases that were granted as copies. There are few; without any, no task must be searched for its other lease.
     pub(crate) copies: BTreeSet<LeaseKey>,
-    /// No lease ends before.
+    /// Lower bound of all deadlines.
     ends_from: Tick,
-    /// How many workers there are of each build of the engine.
+    /// Number of workers by build of the engine.
     builds: BTreeMap<String, usize>,
-    /// Workers that can hold more tasks of a lane, those with the fewest tasks of it first.
+    /// Workers with room in a lane, those with the lowest load first.
     spare: [BTreeSet<(usize, WorkerId)>; Lane::ALL.len()],
 }
 
 impl LeaseTable {
-    /// Whether a worker is there and has these tags.
+    /// Checks whether a worker is connected and has these tags.
     pub(crate) fn has_tags(&self, worker: WorkerId, tags: &[String]) -> bool {
         self.workers.get(&worker).is_some_and(|worker| worker.has_tags(tags))
     }
@@ -266,28 +266,28 @@ impl LeaseTable {
         }
     }
 
-    /// The builds of the engine of which there are workers.
+    /// Returns the builds of the engine that have workers.
     pub(crate) fn builds(&self) -> impl ExactSizeIterator<Item = &str> {
         self.builds.keys().map(String::as_str)
     }
 
-    /// The process behind a session.
+    /// Returns the process of a session.
     pub(crate) fn instance(&self, worker: WorkerId) -> Option<u64> {
         self.workers.get(&worker).map(|worker| worker.registration.instance)
     }
 
-    /// What a worker holds, oldest first.
+    /// Returns the leases of a worker, oldest first.
     pub(crate) fn held(&self, worker: WorkerId) -> Vec<LeaseKey> {
         let held = self.workers.get(&worker).into_iter().flat_map(|known| &known.held);
         held.map(|held| (held.task, held.epoch)).collect()
     }
 
-    /// Workers that can hold more tasks of a lane, those with the fewest of it first; from this place on.
+    /// Returns the first worker with room in a lane, from this position on. Workers with the lowest load come first.
     pub(crate) fn next_spare(&self, lane: Lane, from: (usize, WorkerId)) -> Option<(usize, WorkerId)> {
         self.spare[lane as usize].range(from..).next().copied()
     }
 
-    /// Takes a worker out of the workers with room, before what it holds changes.
+    /// Removes a worker from the workers with room, before its leases change.
     fn close_room(&mut self, worker: WorkerId) {
         let Some(holder) = self.workers.get(&worker) else { return };
         for lane in Lane::ALL {
@@ -295,7 +295,7 @@ impl LeaseTable {
         }
     }
 
-    /// Notes a worker's room, after what it holds has changed.
+    /// Enters a worker among the workers with room, after its leases have changed.
     fn open_room(&mut self, worker: WorkerId, config: &Config) {
         let Some(holder) = self.workers.get(&worker) else { return };
         for lane in Lane::ALL {
@@ -305,7 +305,7 @@ impl LeaseTable {
         }
     }
 
-    /// Removes a worker that holds nothing any more.
+    /// Removes a worker that holds no lease any more.
     pub(crate) fn leave(&mut self, worker: WorkerId) {
         debug_assert!(self.workers.get(&worker).is_none_or(|known| known.held.is_empty()));
         for spare in &mut self.spare {
@@ -320,7 +320,7 @@ impl LeaseTable {
         }
     }
 
-    /// The time for which a worker has held something and that is not charged yet.
+    /// Bills the uncharged time for which a worker has held leases.
     pub(crate) fn bill(&mut self, worker: WorkerId, now: Tick) -> Option<Bill> {
         let holder = self.workers.get_mut(&worker)?;
         let &Held { epoch, task, .. } = holder.held.front()?;
@@ -328,7 +328,8 @@ impl LeaseTable {
         Some(holder.bill(task.job, lease, now))
     }
 
-    /// - `run`: the task's grains.
+    /// Enters a lease.
+    /// - `run`: sample chunks of the task.
     pub(crate) fn lease(
         &mut self,
         key: LeaseKey,
@@ -370,7 +371,7 @@ impl LeaseTable {
         self.open_room(worker, config);
     }
 
-    /// Takes a lease out; returns also what is to be charged for the time of its worker until now.
+    /// Removes a lease. Returns also the bill for its worker's time until now.
     pub(crate) fn release(&mut self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(Lease, Option<Bill>)> {
         let mut lease = self.leases.remove(key)?;
         self.copies.remove(key);
@@ -389,8 +390,8 @@ impl LeaseTable {
         Some((lease, bill))
     }
 
-    /// Puts a lease into the hands of another session of its worker, as it was granted; `false`: there is no such lease. What the
-    /// worker has used is charged before.
+    /// Hands a lease over to another session of its worker, with its original grant; `false`: there is no such lease. The worker's
+    /// time must be charged before.
     pub(crate) fn hand_over(&mut self, key: &LeaseKey, worker: WorkerId, config: &Config, now: Tick) -> bool {
         let is_copy = self.copies.contains(key);
         let Some((lease, _)) = self.release(key, config, now) else { return false };
@@ -403,22 +404,22 @@ impl LeaseTable {
         true
     }
 
-    /// The lease, if this worker holds it under this epoch.
+    /// Returns the lease if this worker holds it under this epoch.
     pub(crate) fn lease_of(&self, worker: WorkerId, task: &TaskKey, epoch: Epoch) -> Option<&Lease> {
         self.leases.get(&(*task, epoch)).filter(|lease| lease.worker == worker)
     }
 
-    /// The leases of a task: none, one, or a second that does the same.
+    /// Returns the leases of a task: none, one, or one and its copy.
     pub(crate) fn of_task(&self, task: &TaskKey) -> impl Iterator<Item = (LeaseKey, &Lease)> + use<'_> {
         self.leases.of_task(task)
     }
 
-    /// Workers that have nothing to do in a lane.
+    /// Returns the workers without load in a lane.
     pub(crate) fn idle(&self, lane: Lane) -> impl Iterator<Item = WorkerId> + '_ {
         self.spare[lane as usize].range((0, WorkerId(0))..(1, WorkerId(0))).map(|&(_, worker)| worker)
     }
 
-    /// Renews the leases that a heartbeat lists, unless they stand still; returns those that are over.
+    /// Renews the leases in a heartbeat, unless they are stalled. Returns the listed leases that are over.
     pub(crate) fn renew(
         &mut self,
         worker: WorkerId,
@@ -462,8 +463,8 @@ impl LeaseTable {
         over
     }
 
-    /// Of a lease that ran out because nothing moved, although its worker is there: that worker, and for how many seconds. One
-    /// whose heartbeats were lost on the way ran out, too, and is nobody's fault.
+    /// Checks whether an expired lease was stalled although its worker is alive. Returns that worker, and the seconds without
+    /// progress. A lease that expired because heartbeats were lost on the way was not stalled.
     pub(crate) fn stalled(&self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(WorkerId, u64)> {
         let lease = self.leases.get(key)?;
         let still = now.since(lease.moved);
@@ -471,17 +472,17 @@ impl LeaseTable {
         (!self.is_silent(lease.worker, config, now) && has_stalled).then_some((lease.worker, still / 1000))
     }
 
-    /// Whether a worker has said nothing for a lease's time.
+    /// Checks whether a worker has been silent for a lease's duration.
     pub(crate) fn is_silent(&self, worker: WorkerId, config: &Config, now: Tick) -> bool {
         self.workers.get(&worker).is_none_or(|known| now.since(known.seen) >= config.lease)
     }
 
-    /// The leases whose time is up, earliest first.
+    /// Returns the expired leases, earliest deadline first.
     pub(crate) fn expired(&mut self, now: Tick) -> Vec<LeaseKey> {
         if now < self.ends_from {
             return Vec::new();
         }
-        // Heartbeats renew all that are held: this is rare.
+        // Heartbeats renew all held leases, so this is rarely reached.
         self.ends_from = self.leases.iter().map(|(_, lease)| lease.deadline).min().unwrap_or(Tick(u64::MAX));
         let ended = self.leases.iter().filter(|(_, lease)| lease.deadline <= now);
         let mut ended: Vec<_> = ended.map(|((task, epoch), lease)| (lease.deadline, epoch, task)).collect();
@@ -489,29 +490,30 @@ impl LeaseTable {
         ended.into_iter().map(|(_, epoch, task)| (task, epoch)).collect()
     }
 
-    /// The keys of a stage that are leased.
+    /// Returns the leased keys of a stage.
     pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = Range<u32>> + '_ {
         self.leases.of_stage(job, stage).map(|((task, _), lease)| lease.run(&task))
     }
 
-    /// Whether some of a stage's keys are leased: leases of a stage cover different keys, or a copy just the same.
+    /// Checks whether some of a stage's keys are leased. Different leases of a stage cover different keys; a copy covers the same
+    /// keys as its original.
     pub(crate) fn covers(&self, job: JobId, stage: Stage, keys: &Range<u32>) -> bool {
         let last = self.leases.last_before(job, stage, keys.end);
         last.is_some_and(|((task, _), lease)| lease.run(&task).end > keys.start)
     }
 
-    /// The leases of a frame.
+    /// Returns the leases of a frame.
     pub(crate) fn of_frame(&self, job: JobId, frame: u32) -> impl Iterator<Item = (LeaseKey, &Lease)> + '_ {
         self.leases.of_frames(job, frame..=frame)
     }
 
-    /// The leases of a job.
+    /// Returns the leases of a job.
     pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (LeaseKey, &Lease)> + '_ {
         self.leases.of_frames(job, 0..=u32::MAX)
     }
 }
 
-/// Without progress for so many milliseconds a lease is not renewed.
+/// Returns the milliseconds without progress after which a lease is no longer renewed.
 fn stall(phase: Phase, config: &Config) -> u64 {
     match phase {
         Phase::Waiting | Phase::Preparing => config.preparation_stall,

@@ -1,4 +1,4 @@
-//! Leases by their stage, and within it by key and epoch: who looks for one compares few numbers.
+//! Leases grouped by stage, and within a stage by key and epoch. A search compares only a few numbers.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -9,7 +9,7 @@ use crate::lease_table::{Lease, LeaseKey};
 
 type OfStage = BTreeMap<(u32, Epoch), Lease>;
 
-/// Leases in the order of their names; a stage without any is not there.
+/// Leases in the order of their keys. Stages without leases have no entry.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Leases(BTreeMap<(JobId, Stage), OfStage>);
 
@@ -39,30 +39,30 @@ impl Leases {
         Some(lease)
     }
 
-    /// All of them.
+    /// Returns all leases.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (LeaseKey, &Lease)> {
         self.0.iter().flat_map(named)
     }
 
-    /// Those of a task: none, one, or a second that does the same.
+    /// Returns the leases of a task: none, one, or one and its copy.
     pub(crate) fn of_task(&self, task: &TaskKey) -> impl Iterator<Item = (LeaseKey, &Lease)> + use<'_> {
         let (task, keys) = (*task, (task.index, Epoch(0))..=(task.index, Epoch(u64::MAX)));
         let leases = self.of(&task).into_iter().flat_map(move |of_stage| of_stage.range(keys.clone()));
         leases.map(move |(&(_, epoch), lease)| ((task, epoch), lease))
     }
 
-    /// Those of a stage.
+    /// Returns the leases of a stage.
     pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = (LeaseKey, &Lease)> {
         self.0.get_key_value(&(job, stage)).into_iter().flat_map(named)
     }
 
-    /// The last of a stage whose key is before this one.
+    /// Returns the last lease of a stage whose key is less than `end`.
     pub(crate) fn last_before(&self, job: JobId, stage: Stage, end: u32) -> Option<(LeaseKey, &Lease)> {
         let (&(index, epoch), lease) = self.0.get(&(job, stage))?.range(..(end, Epoch(0))).next_back()?;
         Some(((TaskKey { job, stage, index }, epoch), lease))
     }
 
-    /// Those of frames from one to another of a job.
+    /// Returns the leases of a range of a job's frames.
     pub(crate) fn of_frames(
         &self,
         job: JobId,
@@ -74,7 +74,7 @@ impl Leases {
     }
 }
 
-/// The leases of a stage with their names.
+/// Returns the leases of a stage with their keys.
 fn named<'a>((&(job, stage), of_stage): (&(JobId, Stage), &'a OfStage)) -> impl Iterator<Item = (LeaseKey, &'a Lease)> {
     of_stage.iter().map(move |(&(index, epoch), lease)| ((TaskKey { job, stage, index }, epoch), lease))
 }

@@ -1,12 +1,13 @@
-//! The scheduler: who does what next, as a pure state machine.
+//! The scheduler: decides which worker does which task, as a pure state machine.
 //!
-//! [`Scheduler::on`] takes what happened and the time, and returns what is to be done about it; it reads no clock, sends
-//! nothing and writes nothing. Its state has two halves. The [`Ledger`] is durable: it changes by [`Fact`]s alone, and
-//! the same facts give the same ledger. The tables (workers, leases, ready tasks) are not: after a restart every lease is
-//! void, and what was leased is ready again. A fact comes out as [`Command::Record`] before the commands that tell
-//! anybody about it; the caller makes the facts durable first.
+//! [`Scheduler::on`] takes an event and the time, and returns the commands that follow. It reads no clock, sends nothing and writes
+//! nothing. Its state has two halves. The [`Ledger`] is durable: only [`Fact`]s change it, and the same facts give the same ledger.
+//! The tables (workers, leases, ready tasks) are volatile: after a restart every lease is void, and the leased tasks are ready
+//! again. A fact is returned as [`Command::Record`] before the commands that report it to anyone; the caller makes the facts
+//! durable first.
 //!
-//! Waiting tasks are ranges: a frame that nobody has begun costs nothing, one in work costs a row for each finished tile.
+//! Waiting tasks are stored as ranges: a frame without results costs nothing, and a frame in progress costs one row per finished
+//! tile.
 #![deny(missing_docs)]
 
 mod affinity;

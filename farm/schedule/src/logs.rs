@@ -1,5 +1,5 @@
-//! Logs of attempts. Those in the store are few (of failures and of images) and are facts, kept with the job. Those of tiles that
-//! went well are many and small: they travel in the report, and the latest are kept in memory alone.
+//! Logs of attempts. Logs in the store are few (those of failures and of images). They are facts and are kept with the job. Logs of
+//! successful tiles are many and small. They are sent with the report, and the latest ones are kept only in memory.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -16,7 +16,7 @@ pub(crate) struct Shelf {
 }
 
 impl Shelf {
-    /// Most bytes of text.
+    /// Maximum number of bytes of text.
     const BYTES: usize = 4 << 20;
 
     fn put(&mut self, record: LogRecord) {
@@ -29,7 +29,7 @@ impl Shelf {
     }
 }
 
-/// Bytes of a record, about.
+/// Returns the approximate size of a record in bytes.
 fn size(record: &LogRecord) -> usize {
     let text = match &record.log.text {
         LogText::Inline(text) => text.len(),
@@ -39,7 +39,7 @@ fn size(record: &LogRecord) -> usize {
 }
 
 impl Scheduler {
-    /// Keeps the log of an attempt whose lease holds.
+    /// Stores the log of an attempt whose lease holds.
     pub(crate) fn logged(
         &mut self,
         worker: WorkerId,
@@ -58,10 +58,10 @@ impl Scheduler {
         }
     }
 
-    /// The logs of attempts at a job's tasks, and at those of what it shares with others, that were reported since then, oldest first;
-    /// where they are very many, all that are stored and the latest of the others.
+    /// Returns the logs of attempts at the tasks of a job and of its shared jobs that were reported since this time, oldest first.
+    /// If there are too many, returns all stored logs and the latest of the others.
     pub fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Refusal> {
-        /// Most records of one answer.
+        /// Maximum number of records in an answer.
         const MOST: usize = 2048;
         let keys = self.job(job)?.spec.contents.iter().map(|(_, key)| key);
         let shared = keys.flat_map(|key| self.ledger.shared_by(key)).map(|(_, id, _)| id);
@@ -71,7 +71,7 @@ impl Scheduler {
         let in_memory: Vec<&LogRecord> = in_memory.filter(is_new).collect();
         let mut all: Vec<LogRecord> =
             jobs.iter().flat_map(|job| self.ledger.side.logs(*job)).filter(is_new).cloned().collect();
-        // Stored logs, among them those of failures, have a place before logs of tiles.
+        // Stored logs, which include those of failures, have priority over logs of tiles.
         let room = MOST.saturating_sub(all.len());
         all.extend(in_memory[in_memory.len().saturating_sub(room)..].iter().copied().cloned());
         all.sort_by_key(|record| (record.at, record.epoch));

@@ -1,6 +1,6 @@
-//! Usage by owner and month, for accounts. It is independent of the order of service, whose figures serve fairness alone.
+//! Usage by owner and month, for accounting. It is independent of the order of service, whose figures only serve fairness.
 //!
-//! Sums become durable every few seconds ([`Scheduler::NOTE_SHARES`]): a coordinator that is killed forgets no more than that.
+//! Sums become durable every few seconds ([`Scheduler::NOTE_SHARES`]): a killed coordinator loses no more than that.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ pub(crate) struct Meter {
 }
 
 impl Meter {
-    /// Adds to an owner's usage of this month.
+    /// Adds to an owner's usage in this month.
     pub(crate) fn add(&mut self, owner: &str, sums: UsageSums) {
         if self.month.is_none() {
             return;
@@ -31,7 +31,7 @@ impl Meter {
 }
 
 impl Scheduler {
-    /// Begins a month; what came before belongs to the month before.
+    /// Begins a month; usage up to now belongs to the previous month.
     pub(crate) fn month(&mut self, month: Month, now: Tick, out: &mut Vec<Command>) {
         if self.meter.month == Some(month) {
             return;
@@ -41,7 +41,8 @@ impl Scheduler {
         self.meter.month = Some(month);
     }
 
-    /// Adds to the usage of the owner of a task's job. Those whose jobs wait for a shared stage have it in equal parts by weight.
+    /// Adds the processor time of an attempt to the usage of the job's owner. The time of a shared job is divided among the owners
+    /// whose jobs wait for it, in proportion to their weights.
     pub(crate) fn meter_attempt(&mut self, task: &TaskKey, usage: &Usage) {
         let microseconds = (usage.cpu * 1e6) as u64;
         let Some(job) = self.ledger.jobs.get(&task.job).filter(|_| microseconds > 0) else { return };
@@ -54,14 +55,14 @@ impl Scheduler {
         self.meter.add(&job.spec.owner, UsageSums { processor_us: microseconds, ..UsageSums::default() });
     }
 
-    /// Counts a task that was done, and its frame, where that was finished by it.
+    /// Counts a completed task, and its frame if the task finished it.
     pub(crate) fn meter_task(&mut self, task: &TaskKey, samples: u64) {
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let frames = u64::from(is_finished_frame(job, task));
         self.meter.add(&job.spec.owner, UsageSums { frames, tasks: 1, samples, ..UsageSums::default() });
     }
 
-    /// Makes durable what was added.
+    /// Makes the added usage durable.
     pub(crate) fn note_usage(&mut self, now: Tick, out: &mut Vec<Command>) {
         let Some(month) = self.meter.month else { return };
         let added = std::mem::take(&mut self.meter.owners);
@@ -77,7 +78,7 @@ impl Scheduler {
         self.record(Fact::Metered { usage }, now, out);
     }
 
-    /// Usage by month and owner, until the last event; the time of leases that hold is charged every few seconds.
+    /// Returns the usage by month and owner up to the last event. The time of running leases is charged every few seconds.
     pub fn usage_by_owner(&self) -> Vec<OwnerUsage> {
         let mut all: BTreeMap<(Month, String), UsageSums> =
             self.ledger.side.metered().map(|row| ((row.month, row.owner), row.sums)).collect();

@@ -1,4 +1,4 @@
-//! The frames of a job whose tasks may be leased, and which of them have any to lease now.
+//! Open frames of a job: those whose tasks may be leased, and among them those with ready tasks.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -8,8 +8,8 @@ use femc_model::{JobId, Lane, Near, Stage, TaskKey};
 use crate::RangeSet;
 use crate::ledger::{Place, Shape};
 
-/// A frame whose tasks may be leased, or the job's own stages: the grains that can run and that nobody holds, of each stage that
-/// has any. What comes last in the graph is first.
+/// An open frame, or the job's own stages: for each stage, the sample chunks that can run and are not leased. Later stages of the
+/// graph come first.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct OpenUnit {
     stages: BTreeMap<(Reverse<u16>, u32), (Stage, RangeSet)>,
@@ -22,7 +22,7 @@ impl OpenUnit {
         all
     }
 
-    /// More of it can run.
+    /// Adds keys that can run.
     pub(crate) fn add(&mut self, frame: u32, (round, number): Place, keys: &RangeSet, shape: &Shape<'_>) {
         let Some(template) = shape.template(number) else { return };
         let stage = Stage { frame, round, number, kind: template.kind };
@@ -30,7 +30,7 @@ impl OpenUnit {
         keys.ranges().for_each(|run| known.add(run));
     }
 
-    /// These are held now, or not wanted.
+    /// Removes keys that are leased or no longer wanted.
     pub(crate) fn remove(&mut self, stage: &Stage, run: std::ops::Range<u32>) {
         let place = (Reverse(stage.number), stage.round);
         let Some((_, keys)) = self.stages.get_mut(&place) else { return };
@@ -40,45 +40,45 @@ impl OpenUnit {
         }
     }
 
-    /// What can be leased of a stage.
+    /// Returns the ready keys of a stage.
     pub(crate) fn of(&self, stage: &Stage) -> Option<&RangeSet> {
         self.stages.get(&(Reverse(stage.number), stage.round)).map(|(_, keys)| keys)
     }
 
-    /// The stages of which something can be leased.
+    /// Returns the stages with ready keys.
     pub(crate) fn stages(&self) -> impl Iterator<Item = (&Stage, &RangeSet)> {
         self.stages.values().map(|(stage, keys)| (stage, keys))
     }
 
-    /// Its ready tasks: of later stages first.
+    /// Returns its ready tasks, those of later stages first.
     pub(crate) fn tasks(&self, job: JobId) -> impl Iterator<Item = TaskKey> {
         self.stages().flat_map(move |(&stage, keys)| keys.iter().map(move |index| TaskKey { job, stage, index }))
     }
 
-    /// Those that want to be where their frame is prepared.
+    /// Returns its ready tasks that should run where their frame is prepared.
     pub(crate) fn near(&self, job: JobId) -> impl Iterator<Item = TaskKey> {
         let near = self.stages().filter(|(stage, _)| stage.kind.row().near == Near::Frame);
         near.flat_map(move |(&stage, keys)| keys.iter().map(move |index| TaskKey { job, stage, index }))
     }
 
-    /// Whether something of it can be leased.
+    /// Checks whether it has ready tasks.
     fn has_some(&self) -> bool {
         !self.stages.is_empty()
     }
 
-    /// Whether tasks that join can be leased.
+    /// Checks whether it has ready join tasks.
     fn can_join(&self) -> bool {
         self.stages().any(|(stage, _)| stage.kind.row().lane == Lane::Join)
     }
 }
 
-/// Open frames by their number. A farm of a thousand workers has as many open whose tasks are all out: who looks for a task
-/// does not walk these.
+/// Open frames by their number. In a farm with a thousand workers, about a thousand open frames have all their tasks leased. A
+/// search for a task does not visit these.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct OpenUnits {
     all: BTreeMap<u32, OpenUnit>,
     ready: BTreeSet<u32>,
-    /// Those with ready tasks that join.
+    /// Frames with ready join tasks.
     joinable: BTreeSet<u32>,
 }
 
@@ -87,27 +87,27 @@ impl OpenUnits {
         self.all.get(&frame)
     }
 
-    /// How many frames, without the job's own stages.
+    /// Returns the number of frames, without the job's own stages.
     pub(crate) fn frames(&self) -> usize {
         self.all.len() - usize::from(self.all.contains_key(&Stage::OF_JOB))
     }
 
-    /// All of them, in the order of their numbers.
+    /// Returns all open frames, ascending.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (u32, &OpenUnit)> {
         self.all.iter().map(|(&frame, open)| (frame, open))
     }
 
-    /// Those of which something can be leased, in the order of their numbers.
+    /// Returns the frames with ready tasks, ascending.
     pub(crate) fn ready(&self) -> impl Iterator<Item = (u32, &OpenUnit)> {
         self.ready.iter().filter_map(|&frame| Some((frame, self.all.get(&frame)?)))
     }
 
-    /// Whether tasks that join can be leased.
+    /// Checks whether some frame has ready join tasks.
     pub(crate) fn can_join(&self) -> bool {
         !self.joinable.is_empty()
     }
 
-    /// Opens a frame, or puts it right.
+    /// Opens a frame, or replaces its entry.
     pub(crate) fn put(&mut self, frame: u32, open: OpenUnit) {
         self.note(frame, (open.has_some(), open.can_join()));
         self.all.insert(frame, open);
@@ -130,7 +130,8 @@ impl OpenUnits {
         }
     }
 
-    /// - `is_ready`, `can_join`: of the frame.
+    /// Updates the lists of frames with ready tasks.
+    /// - `is_ready`, `can_join`: state of the frame.
     fn note(&mut self, frame: u32, (is_ready, can_join): (bool, bool)) {
         for (frames, is_in) in [(&mut self.ready, is_ready), (&mut self.joinable, can_join)] {
             if is_in {

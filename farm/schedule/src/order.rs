@@ -1,5 +1,5 @@
-//! The order of service: jobs of higher priority first; among equals the owner who has used the least time for his weight;
-//! an owner's own jobs by age.
+//! The order of service. Jobs of higher priority come first. Among jobs of equal priority, the owner who has used the least time in
+//! relation to his weight comes first. The jobs of one owner are served by age.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -8,21 +8,21 @@ use femc_model::JobId;
 
 use crate::Used;
 
-/// What is known of an owner.
+/// Account of an owner.
 #[derive(Debug, Clone, Copy, Default)]
 struct Account {
     used: Used,
-    /// Milliseconds that his running leases are expected to take yet.
+    /// Remaining expected milliseconds of his running leases.
     claimed: u64,
-    /// As it was said last.
+    /// Weight in the latest claim or charge.
     weight: u32,
 }
 
 impl Account {
-    /// Weights are whole numbers; time is kept this much finer.
+    /// Units of virtual time per millisecond, because weights are whole numbers.
     const UNIT: u64 = 1000;
 
-    /// The owner's, with what he has claimed.
+    /// Returns the owner's virtual time, including his claims.
     fn virtual_time(&self) -> u64 {
         self.used.virtual_time.saturating_add(self.weighed(self.claimed))
     }
@@ -36,27 +36,27 @@ impl Account {
     }
 }
 
-/// Jobs whose tasks may be leased, and what their owners have used.
+/// Jobs whose tasks may be leased, and the used time of their owners.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Order {
     classes: BTreeMap<Reverse<u8>, BTreeMap<String, BTreeSet<JobId>>>,
     places: BTreeMap<JobId, (u8, String)>,
     accounts: BTreeMap<String, Account>,
-    /// Somebody has been put level with the others, and that is not durable yet.
+    /// Whether an owner was raised to the level of the others, and that is not durable yet.
     is_leveled: bool,
 }
 
 impl Order {
-    /// Nobody has anything to do, and this was used before.
+    /// Creates an order without jobs, with the time used before.
     pub(crate) fn new(used: &BTreeMap<String, Used>) -> Self {
         let account = |used: &Used| Account { used: *used, ..Account::default() };
         let accounts = used.iter().map(|(owner, used)| (owner.clone(), account(used))).collect();
         Self { accounts, ..Self::default() }
     }
 
-    /// Puts a job at its place. An owner who had nothing to do starts level with the one who has used least, or, where nobody
-    /// else has anything to do, with all that there ever were: absence saves nothing up, and nobody is shut out for having come
-    /// first.
+    /// Inserts a job. An owner without jobs is raised to the level of the present owner who has used the least, or, if there is no
+    /// present owner, of the owner who has used the most so far. So an absent owner saves up no time, and an owner who came first
+    /// is not blocked until a new owner has used as much.
     pub(crate) fn insert(&mut self, job: JobId, priority: u8, owner: &str) {
         if self.places.get(&job).is_some_and(|(p, o)| *p == priority && o == owner) {
             return;
@@ -73,14 +73,14 @@ impl Order {
         self.put(job, priority, owner);
     }
 
-    /// Puts a job at its place, as after a restart, before which it was there.
+    /// Inserts a job without raising its owner, as after a restart.
     pub(crate) fn put(&mut self, job: JobId, priority: u8, owner: &str) {
         self.remove(job);
         self.classes.entry(Reverse(priority)).or_default().entry(owner.to_owned()).or_default().insert(job);
         self.places.insert(job, (priority, owner.to_owned()));
     }
 
-    /// Takes a job out.
+    /// Removes a job.
     pub(crate) fn remove(&mut self, job: JobId) {
         let Some((priority, owner)) = self.places.remove(&job) else { return };
         if let Some(class) = self.classes.get_mut(&Reverse(priority)) {
@@ -96,15 +96,15 @@ impl Order {
         }
     }
 
-    /// All jobs, in order of submission.
+    /// Returns all jobs, in order of submission.
     pub(crate) fn jobs(&self) -> impl Iterator<Item = JobId> + '_ {
         self.places.keys().copied()
     }
 
-    /// The jobs as they are served now.
+    /// Returns the jobs in their present order of service.
     pub(crate) fn service(&self) -> impl Iterator<Item = JobId> + '_ {
         self.classes.values().flat_map(|class| {
-            // Of one owner alone there is nothing to sort.
+            // A single owner needs no sorting.
             let only = if class.len() == 1 { class.values().next() } else { None };
             let mut owners: Vec<_> = class.iter().filter(|_| only.is_none()).collect();
             owners.sort_by_cached_key(|&(owner, _)| self.virtual_time(owner));
@@ -125,7 +125,7 @@ impl Order {
         self.accounts.insert(owner.to_owned(), account);
     }
 
-    /// An owner of `weight` gets a lease that is expected to take so many milliseconds.
+    /// Adds a lease's expected milliseconds to the claims of an owner with this weight.
     pub(crate) fn claim(&mut self, owner: &str, milliseconds: u64, weight: u32) {
         self.change(owner, |account| {
             account.weight = weight;
@@ -133,12 +133,12 @@ impl Order {
         });
     }
 
-    /// A lease is over of which so many milliseconds were still expected.
+    /// Subtracts the remaining expected milliseconds of an ended lease from the claims of its owner.
     pub(crate) fn unclaim(&mut self, owner: &str, milliseconds: u64) {
         self.change(owner, |account| account.unclaim(milliseconds));
     }
 
-    /// An owner of `weight` has used so many milliseconds of a worker, of which some were claimed.
+    /// Charges an owner with this weight for milliseconds of a worker, some of which were claimed.
     pub(crate) fn charge(&mut self, owner: &str, milliseconds: u64, claimed: u64, weight: u32) {
         self.change(owner, |account| {
             account.unclaim(claimed);
@@ -148,19 +148,19 @@ impl Order {
         });
     }
 
-    /// What owners have used, in the order of their names.
+    /// Returns the used time of owners, in the order of their names.
     pub(crate) fn used(&self) -> impl Iterator<Item = (&str, Used)> {
         self.accounts.iter().map(|(owner, account)| (owner.as_str(), account.used))
     }
 
-    /// Keeps nothing of owners without jobs and leases, but of these.
+    /// Removes owners without jobs and claims, except those for whom `is_kept` holds.
     pub(crate) fn forget(&mut self, is_kept: impl Fn(&str) -> bool) {
         let present: BTreeSet<&str> = self.places.values().map(|(_, owner)| owner.as_str()).collect();
         self.accounts
             .retain(|owner, account| account.claimed > 0 || present.contains(owner.as_str()) || is_kept(owner));
     }
 
-    /// Whether somebody has been put level with the others since this was asked last.
+    /// Returns whether an owner was raised to the level of the others since the last call.
     pub(crate) fn is_leveled(&mut self) -> bool {
         std::mem::take(&mut self.is_leveled)
     }

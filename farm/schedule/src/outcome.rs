@@ -1,4 +1,4 @@
-//! What workers report: a result or a failure, counted once and only under a lease that holds.
+//! Outcomes of attempts: a result or a failure, counted once and only under a lease that holds.
 
 use femc_model::{
     Decision, Digest, Ending, Epoch, Failure, JobId, Need, Output, Refusal, RevokeReason, Role, Round, Stage, TaskKey,
@@ -40,7 +40,7 @@ impl Scheduler {
         if let Some(lease) = self.release(&(task, epoch)) {
             self.note(&(task, epoch), &lease, Ending::Done, counted, out);
         }
-        // A worker's clock, at most what went by here: a lease may have waited for its turn.
+        // The worker measured the time, and a lease may have waited for its turn. The time since the grant is an upper bound.
         let taken = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
         self.learn(&task, size, taken);
         if let Some(worker) = self.table.workers.get_mut(&worker) {
@@ -82,7 +82,7 @@ impl Scheduler {
         self.attempt_failed(worker, task, epoch, failure, Command::Accept { worker, task, epoch }, now, out);
     }
 
-    /// A result that cannot count: a failure, and its worker hears that it does not.
+    /// Counts an invalid result as a failure, and refuses the worker's report.
     pub(crate) fn refused(
         &mut self,
         worker: WorkerId,
@@ -131,13 +131,13 @@ impl Scheduler {
         out.push(Command::Changed(task.job));
     }
 
-    /// Takes back what else does the same.
+    /// Revokes the remaining leases of a task.
     fn revoke_others(&mut self, task: &TaskKey, reason: RevokeReason, out: &mut Vec<Command>) {
         let others: Vec<LeaseKey> = self.table.of_task(task).map(|(key, _)| key).collect();
         others.iter().for_each(|key| self.revoke(key, reason, out));
     }
 
-    /// A report whose lease is over: the recorded answer if it is a repetition, a refusal otherwise.
+    /// Answers a report whose lease is over: with the recorded answer if it is a repetition, otherwise with a refusal.
     fn answer_stale_report(&mut self, worker: WorkerId, task: TaskKey, epoch: Epoch, out: &mut Vec<Command>) {
         let refusal = match self.job(task.job) {
             Ok(job) if job.holds(&task, epoch) => return out.push(Command::Accept { worker, task, epoch }),
@@ -154,7 +154,7 @@ impl Scheduler {
         }
     }
 
-    /// The worker has done what those of the frame behind may look at.
+    /// Notes that the worker has completed a task whose outputs are hints for the next frame.
     fn note_hint_source(&mut self, worker: WorkerId, task: &TaskKey) {
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let mut hints = job.spec.graph.stages.iter().flat_map(|template| &template.hints);
@@ -174,7 +174,7 @@ impl Scheduler {
         worker.trouble = Some(trouble);
     }
 
-    /// A failure counts as an attempt unless another worker does the same.
+    /// Counts a failure as an attempt, unless another worker still holds a lease of the task.
     pub(crate) fn count_failure(
         &mut self,
         worker: WorkerId,
@@ -205,8 +205,8 @@ impl Scheduler {
         self.revoke_unwanted(out);
     }
 
-    /// Inputs are gone: what made them is to run again. Counts as an attempt of the task that missed it, so that a
-    /// store which loses everything ends the frame and not the night.
+    /// Reruns the tasks that made lost inputs. This counts as an attempt of the task that missed them, so that a store which loses
+    /// everything ends the frame instead of causing reruns all night.
     fn rebuild_inputs(
         &mut self,
         worker: WorkerId,
@@ -220,7 +220,7 @@ impl Scheduler {
         if digests.contains(&job.spec.bundle) {
             return self.doom(task.job, failure, now, out);
         }
-        // It would miss the same.
+        // A copy would miss the same inputs.
         self.revoke_others(&task, RevokeReason::Expired, out);
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let frame = task.stage.frame;
@@ -244,8 +244,8 @@ impl Scheduler {
         }
     }
 
-    /// The finished frames of which this is a result begin anew, whatever has become of their job: what was said of them is not
-    /// true any more. Inputs of tasks are their tasks' business.
+    /// Restarts the finished frames that have lost this result, whatever the state of their job, because their records are no
+    /// longer true. Lost inputs of tasks are handled when a task misses them.
     pub(crate) fn lost(&mut self, digest: &Digest, now: Tick, out: &mut Vec<Command>) {
         let frames = self.ledger.jobs.iter().flat_map(|(&id, job)| job.made_by(digest).map(move |frame| (id, frame)));
         for (job, frame) in frames.collect::<Vec<_>>() {
@@ -255,7 +255,7 @@ impl Scheduler {
         }
     }
 
-    /// Takes back the leases of a frame that begins anew: they are of another round.
+    /// Revokes the leases of a frame that restarts: they belong to another round.
     pub(crate) fn revoke_frame(&mut self, job: JobId, frame: u32, out: &mut Vec<Command>) {
         let leases = self.table.of_job(job).map(|(key, _)| key);
         let leases: Vec<LeaseKey> = leases.filter(|(task, _)| task.stage.frame == frame).collect();
@@ -268,7 +268,7 @@ impl Scheduler {
     }
 }
 
-/// What is to be done again so that the lost inputs of a task are there.
+/// Returns the facts that make the lost inputs of a task again.
 fn repairs(task: &TaskKey, job: &Job, lost: &[Digest]) -> Vec<Fact> {
     let (id, frame, shape) = (task.job, task.stage.frame, job.shape(task.stage.frame));
     let again = |(round, number), index| {
@@ -284,7 +284,7 @@ fn repairs(task: &TaskKey, job: &Job, lost: &[Digest]) -> Vec<Fact> {
     own.chain(others).collect()
 }
 
-/// Whether a result says what its task must: all its outputs and no other, its units, and a decision where it closes a loop.
+/// Checks that a result fits its task: all required outputs and no other, its units of work, and a decision if it closes a loop.
 fn is_sound(job: &Job, stage: &Stage, units: u64, result: &TaskResult) -> bool {
     let shape = job.shape(stage.frame);
     let Some(template) = shape.template(stage.number) else { return false };
@@ -311,23 +311,23 @@ fn is_sound(job: &Job, stage: &Stage, units: u64, result: &TaskResult) -> bool {
         && result.units == if template.kind.is_cut() { units } else { 0 }
 }
 
-/// Whether an output must be there, or must not; `None`: as the worker likes.
-/// - `goes_on`: whether another round follows, or may follow where that is not decided yet.
+/// Returns whether an output is required or forbidden; `None`: it is optional.
+/// - `goes_on`: whether another round follows, or may follow if that is not decided yet.
 fn is_output_required(shape: &Shape<'_>, number: u16, template: &Template, role: Role, goes_on: bool) -> Option<bool> {
     let readers = || shape.graph.readers(number).filter(|(_, need)| need.role == role);
     let is_before = |(_, need): (u16, &Need)| need.round == Round::Before;
     if readers().any(is_before) {
-        // What is read behind the loop, too, is there in every round.
+        // An output that is also read after the loop is required in every round.
         return (goes_on || !readers().all(is_before)).then_some(true);
     }
     if role.row().is_optional && !goes_on {
         return None;
     }
-    // What is read behind the loop, or by people, comes from the task that ends it.
+    // Outputs for stages after the loop, or for people, are made by the task that ends the loop.
     Some(!(template.closes.is_some() && goes_on))
 }
 
-/// Whether these may be the steps at the end of a round: of each task some, at most as many as planned for the last round.
+/// Checks that these can be the steps at the end of a round: one number for each task, at most that planned for the last round.
 fn are_steps(shape: &Shape<'_>, steps: &[u32]) -> bool {
     let main = shape.graph.of(shape.scope).find(|(_, template)| template.kind.is_cut()).map(|(_, template)| template);
     let most = main.and_then(|template| template.steps.last().copied()).unwrap_or(0);

@@ -1,24 +1,24 @@
-//! How long the tasks of a job take, learned from those that are done.
+//! Pace of a job: the expected duration of its tasks, learned from completed ones.
 
 use std::collections::BTreeMap;
 
-/// Smoothed times by stage number, picoseconds a unit of work; a stage of which nothing is done yet is not there.
+/// Smoothed times by stage number, in picoseconds per unit of work. A stage without completed tasks has no entry.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Pace(BTreeMap<u16, u64>);
 
 impl Pace {
-    /// What is expected of a task while none of its stage is done, ms.
+    /// Expected duration of a task in milliseconds while no task of its stage is completed.
     pub(crate) const FIRST: u64 = 1_000;
-    /// Picoseconds of a millisecond.
+    /// Picoseconds in a millisecond.
     const PICOS: u64 = 1_000_000_000;
 
-    /// Milliseconds that so many units of a stage are expected to take; `None`: nobody knows yet.
+    /// Returns the expected milliseconds for these units of a stage; `None`: unknown yet.
     pub(crate) fn expected(&self, stage: u16, units: u64) -> Option<u64> {
         let picos = u128::from(*self.0.get(&stage)?) * u128::from(units);
         Some(u64::try_from(picos.div_ceil(u128::from(Self::PICOS))).unwrap_or(u64::MAX))
     }
 
-    /// So many units of a stage have taken so many milliseconds.
+    /// Records that these units of a stage took these milliseconds.
     pub(crate) fn note(&mut self, stage: u16, units: u64, milliseconds: u64) {
         let taken = u128::from(milliseconds.max(1)) * u128::from(Self::PICOS) / u128::from(units.max(1));
         let taken = u64::try_from(taken).unwrap_or(u64::MAX).max(1);

@@ -1,4 +1,4 @@
-//! Workers on which tasks of one job keep failing: they get no more of it for a while, then one task to prove themselves.
+//! Quarantine of workers on which tasks of one job keep failing: they get no task of the job for a while, then one task as a probe.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,21 +6,21 @@ use femc_model::{TaskKey, Tick};
 
 use crate::Config;
 
-/// A worker's process, whatever its session.
+/// Number of a worker's process, independent of its session.
 pub(crate) type Instance = u64;
 
 #[derive(Debug, Clone, Default)]
 struct Record {
-    /// Different tasks that failed there, none done in between.
+    /// Different tasks that failed there without a success in between.
     tasks: BTreeSet<TaskKey>,
-    /// Quarantined until then, once there were too many, while another worker may do the job's tasks.
+    /// End of the quarantine, once it was imposed, while another worker may do the job's tasks.
     until: Option<Tick>,
-    /// End of the shorter quarantine that applies while no other worker may do them: a sick machine that is alone must not fail all
-    /// tasks of a job within seconds.
+    /// End of the shorter quarantine that applies while no other worker may do them: a broken machine that is alone must not fail
+    /// all tasks of a job within seconds.
     alone_until: Tick,
-    /// How often it was quarantined in a row.
+    /// Number of quarantines in a row.
     times: u32,
-    /// The task that is to prove it well again.
+    /// Task that tests whether the worker works again.
     probe: Option<TaskKey>,
 }
 
@@ -30,17 +30,17 @@ impl Record {
     }
 }
 
-/// What one job has seen of its workers. Forgotten at a restart.
+/// Quarantine records of one job's workers. A restart discards them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct WorkerQuarantine {
     records: BTreeMap<Instance, Record>,
 }
 
 impl WorkerQuarantine {
-    /// Different tasks that fail on a worker before it is quarantined.
+    /// Number of different failed tasks that quarantine a worker.
     const TASKS: usize = 3;
 
-    /// A task failed there by its own fault, as far as one can tell.
+    /// Counts a failed attempt of a task on this worker.
     pub(crate) fn failed(&mut self, worker: Instance, task: TaskKey, config: &Config, now: Tick) {
         let record = self.records.entry(worker).or_default();
         record.tasks.insert(task);
@@ -53,39 +53,39 @@ impl WorkerQuarantine {
         }
     }
 
-    /// A task was done there: all is forgiven.
+    /// Removes a worker's record, because a task succeeded there.
     pub(crate) fn succeeded(&mut self, worker: Instance) {
         self.records.remove(&worker);
     }
 
-    /// A task is leased there.
+    /// Notes a lease to the worker; if the worker is in doubt, it is its probe.
     pub(crate) fn granted(&mut self, worker: Instance, task: TaskKey) {
         if let Some(record) = self.records.get_mut(&worker).filter(|record| record.until.is_some()) {
             record.probe = Some(task);
         }
     }
 
-    /// A lease ended without a verdict on the worker.
+    /// Notes that a lease ended without a verdict on the worker.
     pub(crate) fn released(&mut self, task: &TaskKey) {
         for record in self.records.values_mut().filter(|record| record.probe == Some(*task)) {
             record.probe = None;
         }
     }
 
-    /// Whether it was quarantined and has not proved itself since.
+    /// Checks whether the worker was quarantined and has not succeeded since.
     pub(crate) fn is_in_doubt(&self, worker: Instance) -> bool {
         self.records.get(&worker).is_some_and(|record| record.until.is_some())
     }
 
-    /// For how many more milliseconds the worker is quarantined while another may do the job's tasks; 0 while its probe runs;
-    /// `None`: it is not.
+    /// Returns the remaining milliseconds of the worker's quarantine that applies while another worker may do the job's tasks; 0
+    /// while its probe runs; `None`: it is not quarantined.
     pub(crate) fn quarantines(&self, worker: Instance, now: Tick) -> Option<u64> {
         let record = self.records.get(&worker)?;
         record.left(record.until?, now)
     }
 
-    /// For how many more milliseconds the worker is quarantined while no other may do the job's tasks; 0 while its probe runs;
-    /// `None`: it is not.
+    /// Returns the remaining milliseconds of the worker's quarantine that applies while no other worker may do the job's tasks; 0
+    /// while its probe runs; `None`: it is not quarantined.
     pub(crate) fn quarantines_alone(&self, worker: Instance, now: Tick) -> Option<u64> {
         let record = self.records.get(&worker)?;
         record.until?;

@@ -1,44 +1,44 @@
-//! Sets of task numbers, kept as ranges: a million waiting tasks cost one entry.
+//! Sets of task numbers, stored as ranges: a million waiting tasks need one entry.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-/// A set of numbers as disjoint ranges that do not touch.
+/// A set of numbers, stored as disjoint ranges that do not touch.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RangeSet {
-    /// End by start.
+    /// Ends of the ranges, by their starts.
     ranges: BTreeMap<u32, u32>,
 }
 
 impl RangeSet {
-    /// The ranges, ascending.
+    /// Returns the ranges, ascending.
     pub fn ranges(&self) -> impl Iterator<Item = Range<u32>> + '_ {
         self.ranges.iter().map(|(&start, &end)| start..end)
     }
 
-    /// The numbers, ascending.
+    /// Returns the numbers, ascending.
     pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {
         self.ranges().flatten()
     }
 
-    /// Whether nothing is in it.
+    /// Checks whether the set is empty.
     pub fn is_empty(&self) -> bool {
         self.ranges.is_empty()
     }
 
-    /// How many numbers are in it; walks the ranges.
+    /// Counts the numbers; visits all ranges.
     pub fn count(&self) -> u32 {
         self.ranges().map(|range| range.end - range.start).sum()
     }
 
-    /// Whether `value` is in it.
+    /// Checks whether the set contains `value`.
     pub fn contains(&self, value: u32) -> bool {
         self.ranges.range(..=value).next_back().is_some_and(|(_, &end)| value < end)
     }
 
-    /// Adds `value`; one that is in it already changes nothing.
+    /// Adds `value`, if it is not in the set.
     pub fn insert(&mut self, value: u32) {
         if self.contains(value) {
             return;
@@ -67,12 +67,12 @@ impl RangeSet {
         self.ranges.insert(start, last);
     }
 
-    /// Whether some of the numbers of `range` are in it.
+    /// Checks whether the set contains some numbers of `range`.
     pub fn touches(&self, range: &Range<u32>) -> bool {
         !range.is_empty() && self.ranges.range(..range.end).next_back().is_some_and(|(_, &end)| end > range.start)
     }
 
-    /// Takes all numbers of `range` out; those that are not in it change nothing.
+    /// Removes all numbers of `range` that are in the set.
     pub fn remove(&mut self, range: Range<u32>) {
         if range.is_empty() {
             return;
@@ -92,13 +92,13 @@ impl RangeSet {
         }
     }
 
-    /// The numbers from `value` on that are in it without a gap.
+    /// Returns the numbers from `value` on that are in the set without a gap.
     pub fn run(&self, value: u32) -> Range<u32> {
         let around = self.ranges.range(..=value).next_back().filter(|&(_, &end)| value < end);
         value..around.map_or(value, |(_, &end)| end)
     }
 
-    /// Whether all numbers of `range` are in it.
+    /// Checks whether the set contains all numbers of `range`.
     pub fn covers(&self, range: &Range<u32>) -> bool {
         self.run(range.start).end >= range.end
     }

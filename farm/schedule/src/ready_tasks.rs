@@ -1,4 +1,4 @@
-//! The ready tasks of a job that runs: derived from the ledger and the leases, never written down.
+//! Ready tasks of a job. They are derived from the ledger and the leases and never stored.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
@@ -12,27 +12,27 @@ use crate::open::{OpenUnit, OpenUnits};
 use crate::pace::Pace;
 use crate::quarantine::WorkerQuarantine;
 
-/// The ready tasks of one job, and what the scheduler remembers of its tries.
+/// Ready tasks of one job, with the scheduler's volatile records of its attempts.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ReadyTasks {
-    /// Position in the job's frames: those before it are open, finished or blocked.
+    /// Position in the job's frames: all frames before it are open, finished or blocked.
     pub(crate) cursor: usize,
     pub(crate) open: OpenUnits,
     /// Worker on which a task failed last.
     pub(crate) avoid: BTreeMap<TaskKey, WorkerId>,
-    /// What kept its tasks from being done.
+    /// Infrastructure failures of its tasks.
     pub(crate) mishaps: Mishaps,
     /// Workers on which its tasks keep failing.
     pub(crate) quarantine: WorkerQuarantine,
     pub(crate) stale_messages: u64,
-    /// Second leases of late tasks.
+    /// Number of copies of late tasks.
     pub(crate) copies: u64,
     pub(crate) rate: Rate,
     pub(crate) pace: Pace,
 }
 
 impl ReadyTasks {
-    /// Forgets what is ready and opens again every frame in work, before the ones that nobody has begun.
+    /// Rederives all ready tasks, and reopens every frame in progress before those that have not begun.
     pub(crate) fn rebuild(&mut self, id: JobId, job: &Job, table: &LeaseTable) {
         let opened = std::mem::take(&mut self.open);
         let opened: Vec<u32> = opened.iter().map(|(frame, _)| frame).chain(job.units.keys().copied()).collect();
@@ -43,7 +43,7 @@ impl ReadyTasks {
         }
     }
 
-    /// Derives again what of one frame is ready; what the job's own stages can do with a frame that has ended is ready, too.
+    /// Rederives the ready tasks of one frame. If the frame has ended, adds the tasks of the job's own stages that can run now.
     pub(crate) fn refresh(&mut self, id: JobId, job: &Job, frame: u32, table: &LeaseTable) {
         if !job.is_open(frame) {
             self.open.remove(frame);
@@ -59,8 +59,8 @@ impl ReadyTasks {
         self.open.put(frame, open);
     }
 
-    /// Takes notice of a completion: what reads this task may be ready now.
-    /// - `round`: the round that the frame was in before.
+    /// Updates the ready tasks after a completion: tasks that read its outputs may be ready now.
+    /// - `round`: round of the frame before the completion.
     pub(crate) fn completed(&mut self, task: &TaskKey, round: u32, job: &Job, table: &LeaseTable) {
         let frame = task.stage.frame;
         let unit = job.units.get(&frame).filter(|unit| unit.round == round && job.is_open(frame));
@@ -71,7 +71,7 @@ impl ReadyTasks {
         self.add_runnable(task.job, frame, unit.runnable_after(&job.shape(frame), &task.stage, task.index), job, table);
     }
 
-    /// More of a frame can run; what is held is not ready.
+    /// Adds tasks of a frame that can run, except leased ones.
     fn add_runnable(&mut self, id: JobId, frame: u32, runnable: Vec<(Place, RangeSet)>, job: &Job, table: &LeaseTable) {
         let shape = job.shape(frame);
         for (place, mut keys) in runnable {
@@ -84,19 +84,19 @@ impl ReadyTasks {
         }
     }
 
-    /// Whether there may be another open frame: at most one more than there are workers. For a worker that holds
-    /// nothing twice as many may be open: frames that only workers of another build can go on with shall not keep it idle.
+    /// Checks whether another frame may be opened. At most one more frame may be open than there are workers. For a worker without
+    /// leases twice as many may be open, so that frames which only workers of another build can continue do not keep it idle.
     pub(crate) fn may_open(&self, worker: WorkerId, table: &LeaseTable) -> bool {
         let is_idle = table.workers.get(&worker).is_some_and(|worker| worker.held.is_empty());
         self.open.frames() <= table.workers.len() * if is_idle { 2 } else { 1 }
     }
 
-    /// Whether there are frames that have not been looked at yet; of those none may be left to open.
+    /// Checks whether there are frames that have not been visited yet. Possibly none of them can be opened.
     pub(crate) fn has_unopened(&self, job: &Job) -> bool {
         self.cursor < job.frames().len()
     }
 
-    /// Opens the next frame that nobody has begun; `false` where there is none.
+    /// Opens the next frame that has not begun; `false` if there is none.
     pub(crate) fn open_next(&mut self, job: &Job) -> bool {
         while let Some(&frame) = job.frames().get(self.cursor) {
             self.cursor += 1;
@@ -109,24 +109,24 @@ impl ReadyTasks {
         false
     }
 
-    /// Whether all grains of the run are ready.
+    /// Checks whether all sample chunks of the run are ready.
     pub(crate) fn is_ready(&self, task: &TaskKey, run: &Range<u32>) -> bool {
         let open = self.open.get(task.stage.frame).and_then(|open| open.of(&task.stage));
         open.is_some_and(|keys| keys.covers(run))
     }
 
-    /// Takes a run of a task out of what is ready, because it is leased.
+    /// Removes a run of a task from the ready tasks, because it is leased.
     pub(crate) fn take(&mut self, task: &TaskKey, run: &Range<u32>) {
         self.open.change(task.stage.frame, |frame| frame.remove(&task.stage, run.clone()));
     }
 }
 
-/// Tasks whose last attempt ended with a failure of their surroundings. For people: nothing follows from it.
+/// Tasks whose last attempt ended with an infrastructure failure. Only for display: no state depends on it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Mishaps(BTreeMap<TaskKey, String>);
 
 impl Mishaps {
-    /// Most tasks that are remembered.
+    /// Maximum number of tasks in the table.
     const MOST: usize = 1024;
 
     pub(crate) fn note(&mut self, task: TaskKey, message: String) {
@@ -139,7 +139,7 @@ impl Mishaps {
         self.0.remove(task);
     }
 
-    /// Those of which this holds, and what befell one of them.
+    /// Counts the tasks for which `is_open` holds, and returns the failure of one of them.
     pub(crate) fn why_mishaps(&self, is_open: impl Fn(&TaskKey) -> bool) -> Option<Wait> {
         let mut open = self.0.iter().filter(|(task, _)| is_open(task));
         let (_, message) = open.next()?;
@@ -147,10 +147,10 @@ impl Mishaps {
     }
 }
 
-/// How fast samples come in.
+/// Sampling rate of a job.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Rate {
-    /// Time and samples until then, once a second, for the last ten seconds.
+    /// Times with the samples up to then, once a second, for the last ten seconds.
     points: VecDeque<(Tick, u64)>,
 }
 
@@ -169,7 +169,7 @@ impl Rate {
         self.points.push_back((now, samples));
     }
 
-    /// Samples a second, 0 until two points are known.
+    /// Returns the samples per second; 0 until two points are known.
     pub(crate) fn per_second(&self) -> f64 {
         match (self.points.front(), self.points.back()) {
             (Some((from, first)), Some((to, last))) if to > from => {

@@ -1,5 +1,4 @@
-//! Jobs that ended long ago are forgotten, so that a farm that runs for years does not grow for ever; and those that a person
-//! deletes.
+//! Removal of jobs: ended jobs expire, so that a farm that runs for years does not grow forever, and people can delete them.
 
 use femc_model::{JobId, Refusal, Tick};
 
@@ -8,11 +7,11 @@ use crate::scheduler::Scheduler;
 use crate::{Answer, Command, Fact};
 
 impl Scheduler {
-    /// Milliseconds between two looks at the jobs that have ended.
+    /// Milliseconds between two checks of the ended jobs.
     const LOOK: u64 = 1_000;
 
-    /// Forgets the jobs that ended longer ago than they are to be kept. What they named stays in the store, for the collection
-    /// of garbage: a submission may have been told a moment ago that it is there.
+    /// Removes expired jobs. Their artifacts stay in the store until the garbage collection: the client of a new submission may
+    /// just have been told that they exist.
     pub(crate) fn forget_ended(&mut self, now: Tick, out: &mut Vec<Command>) {
         let Some(keep) = self.config.keep_ended else { return };
         if now < self.looks_from {

@@ -1,8 +1,8 @@
-//! The workers that have been there: their names and numbers, the tasks that they have done, and their last contacts.
+//! The roster of known workers: their names and numbers, the tasks that they have completed, and the times of their last contacts.
 //!
-//! A session ends and nobody knows whether its worker will be back, so a name is kept for a month, also over the coordinator's
-//! restarts: as a note beside the log, which no fact depends on. A coordinator that is killed knows last contacts and counts as
-//! they were at its last note. A worker that comes back has its old number and goes on counting.
+//! When a session ends, its worker may return or not. So a name is kept for a month, also across restarts of the coordinator, as a
+//! note beside the log; no fact depends on it. A coordinator that starts after a kill knows last contacts and counts as of its last
+//! note. A returning worker gets its old number, and its counts continue.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,28 +11,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::SnapshotError;
 
-/// First byte of a note. Version 1, which is read, has no numbers; a roster of a later version is not read: workers are known again
-/// when they come.
+/// First byte of a note: its version. Version 1 can be read and has no numbers. A roster of a later version is not read: its
+/// workers become known when they connect.
 const VERSION: u8 = 2;
 
-/// Workers by name. Workers of the same name share a last contact; each has its own number.
+/// Workers by name. Workers with the same name share a last contact; each has its own number.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Roster {
     known: BTreeMap<String, OfflineWorker>,
     /// Numbers by name.
     numbers: BTreeMap<String, Vec<Number>>,
-    /// Sessions, and the counts that their workers came with.
+    /// Sessions, with the counts of their workers at the start of the session.
     present: BTreeMap<WorkerId, Counts>,
 }
 
-/// A number of a worker, and the counts that belong to it.
+/// A worker's number, with its counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 struct Number {
     number: WorkerId,
     counts: Counts,
 }
 
-/// Tasks that a worker has done, and tasks that failed there.
+/// Numbers of tasks that a worker has completed, and that have failed there.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Counts {
     completed: u64,
@@ -46,12 +46,12 @@ impl Counts {
 }
 
 impl Roster {
-    /// Most workers that are known.
+    /// Maximum number of known workers.
     const MOST: usize = 1024;
-    /// Milliseconds for which one is known that has not been heard of: 30 days.
+    /// Milliseconds for which a worker stays known after its last contact: 30 days.
     const KEPT: u64 = 30 * 24 * 3_600_000;
 
-    /// The number of a worker that comes: that of an earlier session of this name, or a new one.
+    /// Returns the number of a joining worker: that of an earlier session with this name, or a new one.
     pub fn join(&mut self, name: &str) -> WorkerId {
         let highest = self.numbers.values().flatten().map(|known| known.number.0).max().unwrap_or(0);
         let own = self.numbers.entry(name.to_owned()).or_default();
@@ -66,7 +66,7 @@ impl Roster {
         known.number
     }
 
-    /// A session is over. [`Self::observe`] has to be told its counts before.
+    /// Ends a session. Pass its counts to [`Self::observe`] before.
     pub fn leave(&mut self, worker: WorkerId) {
         self.present.remove(&worker);
     }
@@ -80,7 +80,7 @@ impl Roster {
         }
     }
 
-    /// Takes notice of those that are there.
+    /// Updates the roster with the connected workers.
     /// - `workers`: with the counts of all their sessions;
     /// - `date`: now, Unix milliseconds.
     pub fn observe(&mut self, workers: &[WorkerStatus], date: u64) {
@@ -110,7 +110,7 @@ impl Roster {
         numbers.retain(|name, own| known.contains_key(name) || own.iter().any(|own| present.contains_key(&own.number)));
     }
 
-    /// Those that are not there, the latest first.
+    /// Returns the workers that are not connected, the latest contact first.
     pub fn offline(&self, there: &[WorkerStatus]) -> Vec<OfflineWorker> {
         let names: BTreeSet<&str> = there.iter().map(|worker| worker.name.as_str()).collect();
         let mut offline: Vec<OfflineWorker> =
@@ -119,13 +119,13 @@ impl Roster {
         offline
     }
 
-    /// As a note beside the log.
+    /// Encodes the roster as a note beside the log.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
         let known: Vec<&OfflineWorker> = self.known.values().collect();
         Ok(postcard::to_extend(&(known, &self.numbers), vec![VERSION])?)
     }
 
-    /// What [`Self::encode`] wrote.
+    /// Decodes a note of [`Self::encode`].
     pub fn decode(note: &[u8]) -> Result<Self, SnapshotError> {
         let (known, numbers): (Vec<OfflineWorker>, _) = match note.split_first() {
             Some((&VERSION, known)) => postcard::from_bytes(known)?,
@@ -163,7 +163,7 @@ mod tests {
         workers.iter().map(|it| (it.name.as_str(), it.heard)).collect()
     }
 
-    /// A session that has done and failed so many tasks.
+    /// Creates a session with these numbers of completed and failed tasks.
     fn session(worker: WorkerId, name: &str, completed: u64, failed: u64) -> WorkerStatus {
         WorkerStatus { worker, completed, failed, ..self::worker(name, 0) }
     }
@@ -181,11 +181,11 @@ mod tests {
         assert_eq!((a, b), (WorkerId(1), WorkerId(2)));
         assert_eq!(counts(&roster, session(a, "a", 7, 1)), (7, 1));
         roster.observe(&[session(a, "a", 7, 1), session(b, "b", 5, 0)], 1000);
-        // The coordinator begins again, and they come in another order.
+        // The coordinator restarts, and the workers reconnect in another order.
         let mut roster = Roster::decode(&roster.encode().unwrap()).unwrap();
         assert_eq!((roster.join("new"), roster.join("b"), roster.join("a")), (WorkerId(3), b, a));
         assert_eq!(counts(&roster, session(a, "a", 2, 1)), (9, 2));
-        // It leaves and is back.
+        // The worker leaves and returns.
         roster.observe(&[session(a, "a", 9, 2)], 2000);
         roster.leave(a);
         assert_eq!(roster.join("a"), a);

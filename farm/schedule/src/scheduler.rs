@@ -1,4 +1,4 @@
-//! The state machine: takes events apart, and gives ready tasks to workers with room.
+//! The state machine: handles events, and leases ready tasks to workers with room.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -20,44 +20,44 @@ use crate::ready_tasks::ReadyTasks;
 use crate::shared::Content;
 use crate::{Command, Config, Event, Fact, Ledger};
 
-/// All that the coordinator knows.
+/// The complete state of the scheduler.
 #[derive(Debug, Clone)]
 pub struct Scheduler {
     pub(crate) config: Config,
     pub(crate) ledger: Ledger,
     pub(crate) table: LeaseTable,
-    /// One for each job, also for those that do not run.
+    /// Ready tasks of each job, including jobs that do not run.
     pub(crate) ready: BTreeMap<JobId, ReadyTasks>,
     /// Jobs whose tasks may be leased.
     pub(crate) order: Order,
-    /// Jobs that may run and have ready tasks that join.
+    /// Jobs that may run and have ready join tasks.
     pub(crate) joinable: BTreeSet<JobId>,
-    /// Leases granted in this incarnation.
+    /// Number of leases granted in this incarnation.
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
     pub(crate) logs: Shelf,
-    /// What a lease took whose end is about to be heard.
+    /// Reported usage of a lease whose outcome is about to arrive.
     pub(crate) reported_usage: Option<(LeaseKey, Usage)>,
     /// Usage by owner that is not durable yet.
     pub(crate) meter: Meter,
-    /// Of the event that is being taken.
+    /// Time of the present event.
     pub(crate) now: Tick,
     pub(crate) orphans: Orphans,
-    /// What jobs share and no worker could go on with, since when.
+    /// Shared jobs that no worker could continue, with the time since when.
     pub(crate) unattended: BTreeMap<JobId, Tick>,
     pub(crate) deaths: Deaths,
-    /// The jobs that have ended are not looked at before.
+    /// Time of the next check of ended jobs.
     pub(crate) looks_from: Tick,
-    /// What owners have used is not made durable before.
+    /// Time from which used time is made durable next.
     pub(crate) shares_from: Tick,
-    /// Nothing is dealt and no lease runs out before: after a restart the workers come back one by one, with what they still
-    /// work on.
+    /// Time before which nothing is dispatched and no lease expires: after a restart the workers reconnect one by one, with the
+    /// tasks that they still work on.
     pub(crate) deals_from: Tick,
 }
 
 impl Scheduler {
-    /// Goes on from `ledger`: what was leased is ready again. Returns also the fact that must be durable before
-    /// anything else is done.
+    /// Resumes from `ledger`: leased tasks are ready again. Returns also the fact that must be durable before anything else is
+    /// done.
     pub fn new(config: Config, mut ledger: Ledger) -> (Self, Fact) {
         let opened = Fact::Opened { incarnation: ledger.incarnation + 1 };
         let now = ledger.now();
@@ -93,49 +93,49 @@ impl Scheduler {
         (scheduler, opened)
     }
 
-    /// The times and limits.
+    /// Returns the configuration.
     pub fn config(&self) -> &Config {
         &self.config
     }
 
-    /// The durable half, for a snapshot.
+    /// Returns the durable half, for a snapshot.
     pub fn ledger(&self) -> &Ledger {
         &self.ledger
     }
 
-    /// What a job is.
+    /// Returns the specification of a job.
     pub fn spec(&self, job: JobId) -> Option<&JobSpec> {
         self.ledger.jobs.get(&job).map(|job| &*job.spec)
     }
 
-    /// How a job's tasks are cut.
+    /// Returns the granularity at which a job's tasks are divided.
     pub fn cut(&self, job: JobId) -> Cut {
         self.ledger.jobs.get(&job).map_or(Cut::Whole, Job::cut)
     }
 
-    /// Those of `digests` that nothing names any more, each once; for many at a time.
+    /// Returns those of `digests` that are no longer referenced, without duplicates. Call it for many digests at a time.
     pub fn unreferenced(&self, digests: Vec<Digest>) -> Vec<Digest> {
         self.ledger.unreferenced(digests)
     }
 
-    /// Time of a job's end of which not everybody was told who is to be told; `None`: there is no such end.
+    /// Returns the time of a job's end if the end is not announced to all recipients yet.
     pub fn end_to_announce(&self, job: JobId) -> Option<Tick> {
         self.ledger.jobs.get(&job).filter(|job| job.is_unannounced).and_then(|job| job.ended)
     }
 
-    /// The jobs whose end is to be announced, each with its time.
+    /// Returns the jobs whose end must be announced, each with the time of its end.
     pub fn ends_to_announce(&self) -> Vec<(JobId, Tick)> {
         self.ledger.of_people().filter_map(|(id, _)| Some((id, self.end_to_announce(id)?))).collect()
     }
 
-    /// Takes notice of `event` at `now`, which never goes back, and says what is to be done.
+    /// Handles `event` at time `now`, which must not decrease. Returns the commands that follow.
     pub fn on(&mut self, event: Event, now: Tick) -> Vec<Command> {
         let mut out = Vec::new();
         self.hear(event, now, &mut out);
         out
     }
 
-    /// The same; what is to be done comes behind what is in `out`.
+    /// Handles an event like [`Self::on`], and appends the commands to `out`.
     pub fn hear(&mut self, event: Event, now: Tick, out: &mut Vec<Command>) {
         self.now = now;
         let is_time = event == Event::Elapsed;
@@ -226,9 +226,9 @@ impl Scheduler {
         }
     }
 
-    /// A lease is its worker's, whatever session or process of it comes with it: an earlier one that has not been heard to
-    /// end yet loses it. Another farm's lease of the same name is of another job, or covers other steps of the task. Returns
-    /// whether there is such a lease.
+    /// Hands a lease over to the session of its worker that reports it. The lease belongs to the worker, whatever its session or
+    /// process: an earlier session whose end is not known yet loses it. A lease of another farm with the same key belongs to
+    /// another job, or covers other steps of the task. Returns whether there is such a lease.
     fn take_over(&mut self, held: &HeldLease, worker: WorkerId, now: Tick) -> bool {
         let key = (held.task, held.epoch);
         let runs = self.table.leases.get(&key).map(|lease| lease.run(&held.task));
@@ -238,7 +238,7 @@ impl Scheduler {
             && self.hand_over(&key, worker, now)
     }
 
-    /// The keys of a task that a worker brings along, if it is wanted, all that it reads is there, and nobody else has any of it.
+    /// Returns the keys of a reported lease if they are all ready: wanted, with all inputs, and not leased to others.
     fn adoptable(&mut self, held: &HeldLease, worker: WorkerId) -> Option<Range<u32>> {
         let (task, run) = (&held.task, self.run_of(held)?);
         let job = self.ledger.jobs.get(&task.job)?;
@@ -278,7 +278,8 @@ impl Scheduler {
         }
     }
 
-    /// As after a restart. Not again within a lease's time: whoever stumbles all the time must go on all the same.
+    /// Pauses dispatch as after a restart. Does not do so again within a lease's duration, so that a coordinator that stalls all
+    /// the time makes progress.
     fn loop_stalled(&mut self, now: Tick) {
         if now >= self.deals_from.after(self.config.lease) {
             self.deals_from = now.after(self.config.regroup);
@@ -319,7 +320,7 @@ impl Scheduler {
         self.forget_shared(now, out);
     }
 
-    /// Makes a fact true; it becomes durable before what follows is told to anybody.
+    /// Applies a fact. It becomes durable before its consequences are reported to anyone.
     pub(crate) fn record(&mut self, fact: Fact, now: Tick, out: &mut Vec<Command>) {
         let released = self.ledger.apply(&fact, now);
         let job = match &fact {
@@ -330,7 +331,7 @@ impl Scheduler {
             _ => None,
         };
         if job.filter(|job| job.is_shared()).is_some_and(|job| self.ledger.jobs.get(&job).is_some_and(Job::is_stuck)) {
-            // Frames that wait for it are blocked.
+            // The frames that wait for this shared job are now blocked.
             self.rebuild_all();
         }
         out.push(Command::Record(fact));
@@ -339,7 +340,7 @@ impl Scheduler {
         }
     }
 
-    /// Ends a lease and tells its worker.
+    /// Revokes a lease and notifies its worker.
     pub(crate) fn revoke(&mut self, key: &LeaseKey, reason: RevokeReason, out: &mut Vec<Command>) {
         if let Some(lease) = self.release(key) {
             let ending = match reason {
@@ -351,7 +352,7 @@ impl Scheduler {
         }
     }
 
-    /// Derives again what of the task's frame is ready: the task itself, if it is still wanted.
+    /// Rederives the ready tasks of the task's frame, including the task itself if it is still wanted.
     pub(crate) fn put_back(&mut self, task: &TaskKey) {
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let ready_tasks = self.ready.entry(task.job).or_default();
@@ -362,14 +363,14 @@ impl Scheduler {
         self.reorder(task.job);
     }
 
-    /// Derives again what of a job is ready.
+    /// Rederives the ready tasks of a job.
     pub(crate) fn rebuild(&mut self, id: JobId) {
         let Some(job) = self.ledger.jobs.get(&id) else { return };
         self.ready.entry(id).or_default().rebuild(id, job, &self.table);
         self.reorder(id);
     }
 
-    /// Notes whether a job has ready tasks that join, after its ready tasks or its state have changed.
+    /// Notes whether a job has ready join tasks. Call it after its ready tasks or its state have changed.
     pub(crate) fn note_joinable(&mut self, id: JobId) {
         let may_run = self.ledger.jobs.get(&id).is_some_and(Job::is_runnable);
         if may_run && self.ready.get(&id).is_some_and(|ready_tasks| ready_tasks.open.can_join()) {
@@ -379,7 +380,7 @@ impl Scheduler {
         }
     }
 
-    /// Puts the job into the order of service, or out of it.
+    /// Adds the job to the order of service, or removes it.
     pub(crate) fn reorder(&mut self, id: JobId) {
         self.note_joinable(id);
         let Some(job) = self.ledger.jobs.get(&id) else { return };

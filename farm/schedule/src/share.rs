@@ -1,5 +1,5 @@
-//! How much goes into one lease: as many grains of a task as fit the time that a lease is meant to take, and less of them when
-//! there is not enough for everybody. What the farm knows of a job's pace decides; before it knows anything, a grain is all.
+//! Size of a lease: as many sample chunks of a task as fit the intended duration of a lease, and fewer when there is not enough
+//! work for all workers. The size is based on the known pace of the job. While no pace is known, a lease has one sample chunk.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::ready_tasks::ReadyTasks;
 use crate::scheduler::Scheduler;
 
 impl Scheduler {
-    /// The grains of the lease that begins with this ready task.
+    /// Returns the sample chunks of the lease that begins with this ready task.
     pub(crate) fn share(&self, task: &TaskKey) -> Range<u32> {
         let first = task.index..task.index + 1;
         let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&task.job), self.ready.get(&task.job)) else {
@@ -31,7 +31,7 @@ impl Scheduler {
         run.start..run.end.min(run.start + count)
     }
 
-    /// Milliseconds that so many units of the task's stage would take at the pace of its running tasks, before any is done.
+    /// Estimates the milliseconds for these units of the task's stage from the progress of its running tasks, before any is done.
     fn estimate_from_progress(&self, task: &TaskKey, units: u64) -> Option<u64> {
         let of_stage = self.table.of_job(task.job).filter(|((other, _), _)| other.stage.number == task.stage.number);
         let running = of_stage.filter_map(|((task, _), lease)| lease.progress(&task));
@@ -39,20 +39,20 @@ impl Scheduler {
         (done > 0).then(|| (u128::from(elapsed) * u128::from(units)).div_ceil(u128::from(done)) as u64)
     }
 
-    /// How much so many units of the task's stage are, as far as one can tell.
+    /// Returns the size of a lease with these units of the task's stage, with its expected duration.
     pub(crate) fn size(&self, task: &TaskKey, units: u64) -> Size {
         let ready_tasks = self.ready.get(&task.job);
         let expected = ready_tasks.and_then(|ready_tasks| ready_tasks.pace.expected(task.stage.number, units));
         Size { units, milliseconds: expected.unwrap_or(Pace::FIRST) }
     }
 
-    /// Units of work of a run of a task's grains.
+    /// Returns the units of work of a run of a task's sample chunks.
     pub(crate) fn units_of(&self, task: &TaskKey, run: &Range<u32>) -> u64 {
         let job = self.ledger.jobs.get(&task.job);
         job.and_then(|job| job.grains(&task.stage)).map_or(1, |grains| grains.units(run))
     }
 
-    /// Learns the pace of a stage from one of its tasks, which has taken `milliseconds`.
+    /// Updates the pace of a stage with one of its tasks, which took `milliseconds`.
     pub(crate) fn learn(&mut self, task: &TaskKey, size: Size, milliseconds: u64) {
         if let Some(ready_tasks) = self.ready.get_mut(&task.job) {
             ready_tasks.pace.note(task.stage.number, size.units, milliseconds);
@@ -60,7 +60,8 @@ impl Scheduler {
     }
 }
 
-/// The ready grains from the task's on, within it. One that has failed stands alone: its attempts are its own.
+/// Returns the ready sample chunks of the task from its index on. A chunk that has failed before gets a lease of its own, so that
+/// its attempts are its own.
 fn ready_run(task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, grains: &Grains<'_>) -> Range<u32> {
     let open = ready_tasks.open.get(task.stage.frame).and_then(|open| open.of(&task.stage));
     let ready = open.map_or(task.index, |keys| keys.run(task.index).end);
@@ -72,7 +73,7 @@ fn ready_run(task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, grains: &Grain
     }
 }
 
-/// Ready grains of the task's stage in all frames of the job, counted up to about `enough`.
+/// Counts ready sample chunks of the task's stage in all frames of the job, up to about `enough`.
 fn ready(job: &Job, ready_tasks: &ReadyTasks, task: &TaskKey, grains: &Grains<'_>, enough: u64) -> u64 {
     let unopened = job.frames().len() - ready_tasks.cursor.min(job.frames().len());
     let mut ready = unopened as u64 * u64::from(grains.all().end);

@@ -1,10 +1,10 @@
-//! What is done once for all frames, and all jobs, that have one content: the stages of a scope of contents.
+//! Shared jobs: stages that are done once for all frames and all jobs with the same content.
 //!
-//! An **instance** is a content and a build of the engine: it is begun when a worker of that build would do a frame that needs it,
-//! and a frame takes inputs of its own build alone. It has its tasks, leases and attempts like a job, under a number of its own,
-//! and its place in the order of service is that of the first job that waits for it. Its time is charged to all owners whose jobs
-//! wait for it. When nobody waits any more its leases are taken back; it is kept for jobs to come, done or not, as long as all that is
-//! kept so is within a number of bytes.
+//! An **instance**, or shared job, is a content and a build of the engine. It begins when a worker of that build would get a frame
+//! that needs it; a frame only reads inputs of its own build. It has tasks, leases and attempts like a job, under a number of its
+//! own. Its place in the order of service is that of the first job that waits for it. Its time is charged to all owners whose jobs
+//! wait for it. When no job waits for it any more, its leases are revoked. It is kept for future jobs, done or not, while the total
+//! size of all such instances is within a limit.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,20 +16,20 @@ use crate::ledger::Job;
 use crate::scheduler::Scheduler;
 use crate::{Command, Config, Fact};
 
-/// What a worker finds of what a frame's content is.
+/// Availability of a frame's content for a worker.
 pub(crate) enum Content {
-    /// It is there, or the stage needs nothing of it.
+    /// The content is available, or the stage does not read it.
     There,
-    /// This instance is not done.
+    /// This shared job is not done yet.
     Underway(JobId),
-    /// Another build has begun it, and is there.
+    /// Another build makes it, or should make it.
     Elsewhere,
-    /// Nobody has begun it.
+    /// The shared job has not begun.
     Missing(Digest),
 }
 
 impl Scheduler {
-    /// What a worker of this build finds for a stage of a frame.
+    /// Returns the availability of a frame's content for a stage, for a worker of this build.
     pub(crate) fn content(&self, id: JobId, job: &Job, stage: &Stage, engine: &str) -> Content {
         if !job.spec.graph.reads_content(stage.number) {
             return Content::There;
@@ -42,14 +42,14 @@ impl Scheduler {
             |worker: &Worker, shared: &Job| worker.is_open() && self.is_present(worker) && self.fits(worker, shared);
         let is_there = |id: JobId, shared: &Job| self.has_worker_for(id, shared, |worker| may_go_on(worker, shared));
         let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
-        // What another build makes is of no use to a frame of this one, and nobody else goes on with that frame.
+        // Outputs of another build are useless for a frame of this build, and no other build continues that frame.
         let is_own = build_of(&self.ledger, &self.table, id, stage.frame) == Some(engine);
         let is_elsewhere = (!is_own && others.any(|(_, id, shared)| is_there(id, shared)))
             || !self.has_best_coverage(job, Scope::Content, engine);
         if is_elsewhere { Content::Elsewhere } else { Content::Missing(key) }
     }
 
-    /// Whether a worker of an instance's build has the tags of a stage that it is at, among those of which this holds.
+    /// Checks whether some worker of a shared job's build for which `is_one` holds has the tags of one of its present stages.
     fn has_worker_for(&self, id: JobId, shared: &Job, is_one: impl Fn(&Worker) -> bool) -> bool {
         let build = shared.shared.as_ref().map(|shared| &*shared.engine);
         let ready = self.ready.get(&id).into_iter().flat_map(|ready_tasks| ready_tasks.open.ready());
@@ -62,14 +62,14 @@ impl Scheduler {
         })
     }
 
-    /// The jobs that run and wait for a content, in order of submission.
+    /// Returns the running jobs that wait for a content, in order of submission.
     pub(crate) fn waiting(&self, key: &Digest) -> impl Iterator<Item = &Job> {
         let key = *key;
         let jobs = self.order.jobs().filter_map(|id| self.ledger.jobs.get(&id));
         jobs.filter(move |job| job.needs(&key))
     }
 
-    /// The jobs whose status may be another when this one has changed: itself, and all that share it.
+    /// Returns the jobs whose status may have changed when this job has changed: itself, and all jobs that share it.
     pub fn concerned(&self, job: JobId) -> Vec<JobId> {
         let Some(shared) = self.ledger.jobs.get(&job).and_then(|known| known.shared.as_ref()) else { return vec![job] };
         let names = |known: &Job| known.spec.contents.iter().any(|(_, key)| *key == shared.key);
@@ -77,7 +77,8 @@ impl Scheduler {
         sharing.chain([job]).collect()
     }
 
-    /// Whether a worker has what the job asks for; of what jobs share, what one of those asks for that wait for it.
+    /// Checks whether a worker has the tags of the job. For a shared job, checks the tags of the jobs that wait for it, one of
+    /// which must match.
     pub(crate) fn fits(&self, worker: &Worker, job: &Job) -> bool {
         match &job.shared {
             None => worker.has_tags(&job.spec.tags),
@@ -85,7 +86,7 @@ impl Scheduler {
         }
     }
 
-    /// Begins what a frame of a job shares with others.
+    /// Begins the shared job that a frame of a job needs.
     pub(crate) fn begin_shared(
         &mut self,
         job: JobId,
@@ -103,8 +104,8 @@ impl Scheduler {
         self.rebuild(id);
     }
 
-    /// Owners whose jobs wait for what is shared, with their part of so many milliseconds of it, by their weights; what is left over
-    /// is the first one's by name.
+    /// Splits milliseconds of a shared job among the owners whose jobs wait for it, by their weights. The remainder goes to the
+    /// first owner by name.
     pub(crate) fn split(&self, shared: &Job, milliseconds: u64) -> Vec<(String, u64)> {
         let key = shared.shared.as_ref().map(|shared| shared.key);
         let waiting = key.iter().flat_map(|key| self.waiting(key)).map(|job| job.spec.owner.clone());
@@ -123,13 +124,13 @@ impl Scheduler {
         owners.into_iter().zip(parts.into_iter().enumerate().map(with_rest)).collect()
     }
 
-    /// Whether what is shared is to be done for a job that runs.
+    /// Checks whether a running job waits for this shared job.
     pub(crate) fn is_wanted(&self, shared: &Job) -> bool {
         let key = shared.shared.as_ref().map(|shared| shared.key);
         key.is_some_and(|key| !shared.has_ended() && self.waiting(&key).next().is_some())
     }
 
-    /// A job does not wait any more, for whatever reason: what nobody else waits for stops.
+    /// Revokes the leases of shared jobs that no job waits for any more.
     pub(crate) fn revoke_unwanted(&mut self, out: &mut Vec<Command>) {
         let idle = self.ledger.all_shared().filter(|(_, shared)| !self.is_wanted(shared));
         let idle: Vec<JobId> = idle.map(|(id, _)| id).collect();
@@ -142,8 +143,8 @@ impl Scheduler {
         }
     }
 
-    /// A person tries a job again, or asks for another: so is what it shares and could not be done.
-    /// - `is_meant`: frames of the job that are tried again.
+    /// Retries the stuck shared jobs of a job that a person retries or submits.
+    /// - `is_meant`: selects the frames of the job.
     pub(crate) fn retry_shared(
         &mut self,
         job: JobId,
@@ -167,7 +168,8 @@ impl Scheduler {
         self.rebuild_all();
     }
 
-    /// Takes back what jobs make of themselves without the frames that wait for what is shared: those are about to be tried again.
+    /// Revokes the leases of jobs' own stages that leave out frames blocked by the shared job: those frames are about to be
+    /// retried.
     fn revoke_made_with_gaps(&mut self, shared: JobId, out: &mut Vec<Command>) {
         let Some(key) = self.ledger.jobs.get(&shared).and_then(|job| Some(job.shared.as_ref()?.key)) else { return };
         let has_gaps = |job: &Job| job.spec.graph.has_gaps() && job.frames_blocked_by_shared(&key).next().is_some();
@@ -175,22 +177,22 @@ impl Scheduler {
         jobs.into_iter().for_each(|job| self.revoke_frame(job, Stage::OF_JOB, out));
     }
 
-    /// What jobs share has changed for all of them.
+    /// Rederives the ready tasks of all jobs that have contents, after a shared job has changed.
     pub(crate) fn rebuild_all(&mut self) {
         let jobs: Vec<JobId> =
             self.ledger.of_people().filter(|(_, job)| job.spec.graph.has_content()).map(|(id, _)| id).collect();
         jobs.into_iter().for_each(|job| self.rebuild(job));
     }
 
-    /// The jobs that need an instance for their frames, whether they run or not.
+    /// Returns the jobs whose frames need a shared job, whether they run or not.
     fn needing<'a>(&'a self, shared: &Job) -> impl Iterator<Item = &'a Job> + use<'a> {
         let key = shared.shared.as_ref().map(|shared| shared.key);
         let needs = move |job: &&Job| key.is_some_and(|key| job.needs(&key) && !job.is_over());
         self.ledger.of_people().map(|(_, job)| job).filter(needs)
     }
 
-    /// Whether a worker is there, drained or not, that could go on with an instance for a job that needs it; where none does, whether
-    /// its build is there.
+    /// Checks whether a present worker, drained or not, could continue a shared job for a job that needs it. If no job needs it,
+    /// checks whether a worker of its build is present.
     fn is_attended(&self, id: JobId, shared: &Job) -> bool {
         let is_there = |worker: &Worker| self.now.since(worker.seen) < self.config.orphaned;
         let needing: Vec<&Job> = self.needing(shared).collect();
@@ -201,15 +203,15 @@ impl Scheduler {
         self.has_worker_for(id, shared, |worker| is_there(worker) && needing.iter().any(|job| may_begin(worker, job)))
     }
 
-    /// Forgets what is not done and has had no worker for too long, and of what no job needs, done or not, the oldest, until the rest
-    /// is within its bytes.
+    /// Removes unfinished shared jobs that have had no worker for too long. Of the shared jobs that no job needs, done or not,
+    /// removes the oldest until the rest is within the size limit.
     pub(crate) fn forget_shared(&mut self, now: Tick, out: &mut Vec<Command>) {
         let before = std::mem::take(&mut self.unattended);
         let (mut unattended, mut forgotten) = (BTreeMap::new(), Vec::new());
         let (mut kept, mut bytes) = (Vec::new(), 0u64);
         for (id, shared) in self.ledger.all_shared() {
             if shared.is_stuck() {
-                // What it has kept from being done says so as long as it is known.
+                // It is the reason why frames are blocked, and is kept while there are such frames.
                 let key = shared.shared.as_ref().map(|shared| shared.key);
                 let has_blocked = |job: &Job| key.is_some_and(|key| job.has_blocked_frames_of(&key));
                 if !self.ledger.of_people().any(|(_, job)| has_blocked(job)) {
@@ -248,7 +250,7 @@ impl Scheduler {
         }
     }
 
-    /// Frames of a job that cannot go on because what they share with others is stuck.
+    /// Reports frames of a job that are blocked because a shared job is stuck.
     pub(crate) fn why_stuck(&self, job: &Job) -> Vec<Wait> {
         let wait = |(id, shared): (JobId, &Job)| {
             let key = shared.shared.as_ref().map(|shared| shared.key);
@@ -259,7 +261,7 @@ impl Scheduler {
         self.stuck_shared(job).filter_map(wait).collect()
     }
 
-    /// What frames of a job wait for that is done for all: of each instance the stage that it is at.
+    /// Reports the shared jobs that frames of a job wait for, each with its present stage.
     pub(crate) fn why_shared(&self, job: &Job) -> Vec<Wait> {
         let mut waits = Vec::new();
         for key in job.contents() {
@@ -282,7 +284,8 @@ impl Scheduler {
     }
 }
 
-/// Whether a worker has what a job's frames ask for where they read their content: it is dealt what they share with others, too.
+/// Checks whether a worker has the tags of a job and of one of its frame stages that read the content. Such a worker gets tasks of
+/// the shared job, too.
 fn may_begin(worker: &Worker, job: &Job) -> bool {
     let mut frames = job.spec.graph.of(Scope::Frame);
     worker.has_tags(&job.spec.tags)

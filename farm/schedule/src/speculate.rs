@@ -1,6 +1,6 @@
-//! The tail of a frame: a worker that has nothing else to do does once more what takes another far too long. Whichever is done
-//! first counts; the other is revoked at once, and its result changes nothing. Costs work that is thrown away, by workers that
-//! would stand still; a task is given out twice at most.
+//! Speculative copies for the tail of a frame: an idle worker repeats a task that takes another worker far too long. The first
+//! result counts; the other lease is revoked immediately, and its result changes nothing. The discarded work is done by workers
+//! that would be idle otherwise. A task has at most two leases.
 
 use femc_model::{Lane, TaskKey, Tick, WorkerId};
 
@@ -10,11 +10,11 @@ use crate::scheduler::Scheduler;
 use crate::shared::Content;
 
 impl Scheduler {
-    /// A task is late after so many times what it was expected to take.
+    /// Multiple of the expected duration after which a task is late.
     const LATE: u64 = 2;
 
-    /// Leases late tasks to idle workers a second time, the latest first. Nothing is ready for these workers: they would have
-    /// been dealt it.
+    /// Leases late tasks a second time to idle workers, the most delayed first. These workers have no ready tasks; otherwise they
+    /// would have got one.
     pub(crate) fn speculate(&mut self, now: Tick, out: &mut Vec<Command>) {
         if now < self.deals_from {
             return;
@@ -37,7 +37,7 @@ impl Scheduler {
         }
     }
 
-    /// Leases of a lane that take too long and have no copy: by their jobs' order of service, the latest first.
+    /// Returns the late leases of a lane without a copy, in their jobs' order of service, the most delayed first.
     fn late(&self, lane: Lane, now: Tick) -> Vec<LeaseKey> {
         let mut all = Vec::new();
         let shared = self.ledger.all_shared().filter(|(_, shared)| self.is_wanted(shared)).map(|(id, _)| id);
@@ -53,7 +53,7 @@ impl Scheduler {
         all
     }
 
-    /// Thousandths of the expected time that a lease has taken until now; `None`: it is not late, or nobody knows.
+    /// Returns the duration of a lease so far in thousandths of the expected duration; `None`: it is not late, or that is unknown.
     fn lateness(&self, task: &TaskKey, lease: &Lease, now: Tick) -> Option<u64> {
         let pace = &self.ready.get(&task.job)?.pace;
         let expected = pace.expected(task.stage.number, lease.size.units)?;
@@ -67,10 +67,10 @@ impl Scheduler {
             return false;
         };
         let (holder, worker) = (self.table.leases.get(&(*task, *epoch)), self.table.workers.get(&id));
-        // What it reads may have been lost since it was leased.
+        // Its inputs may have been lost since it was leased.
         holder.is_some_and(|lease| lease.worker != id)
             && job.has_inputs(task)
-            // In another round it may have been put aside since.
+            // It may have been quarantined in another round since.
             && !job.is_put_aside(task)
             && worker
                 .is_some_and(|it| matches!(self.content(task.job, job, &task.stage, &it.registration.engine), Content::There))

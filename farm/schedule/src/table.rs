@@ -1,4 +1,4 @@
-//! A job frame by frame and task by task. The rounds of a finished frame are not kept: its tasks are told once each.
+//! Tables of a job's frames and tasks. The rounds of a finished frame are not kept: each of its tasks is listed once.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -12,10 +12,10 @@ use crate::ledger::{Job, Place};
 use crate::scheduler::Scheduler;
 
 impl Scheduler {
-    /// Most tasks of one answer: who sorts tasks asks for all of them.
+    /// Maximum number of tasks in an answer. A client that sorts tasks requests all of them.
     pub const TASKS: usize = 200_000;
 
-    /// Every frame of a job, ascending; the job's own stages come first, if it has any.
+    /// Returns every frame of a job, ascending. The job's own stages come first, if it has any.
     pub fn frame_table(&self, id: JobId) -> Result<Vec<FrameStatus>, Refusal> {
         let job = self.job(id)?;
         let active: BTreeMap<u32, FrameProgress> =
@@ -34,7 +34,7 @@ impl Scheduler {
         Ok(units(job).map(status).collect())
     }
 
-    /// Some tasks of a job: of those that the filter lets through, `count` from `from` on, at most [`Self::TASKS`].
+    /// Returns a page of the tasks of a job that match the filter: `count` from `from` on, at most [`Self::TASKS`].
     pub fn tasks(
         &self,
         id: JobId,
@@ -49,7 +49,7 @@ impl Scheduler {
         for frame in units(job).filter(|frame| filter.frame.is_none_or(|only| only == *frame)) {
             let places = places(job, frame, filter.stage);
             let all: u64 = places.iter().map(|(_, tasks)| u64::from(*tasks)).sum();
-            // Where any state will do, frames beyond the window are only counted.
+            // Without a filter on the state, frames outside the window are only counted.
             if filter.state.is_none() && (page.total + all <= window.start || page.total >= window.end) {
                 page.total += all;
                 continue;
@@ -68,7 +68,7 @@ impl Scheduler {
         Ok(page)
     }
 
-    /// The tasks of a stage in one round.
+    /// Returns the tasks of a stage in one round.
     fn of_place(
         &self,
         id: JobId,
@@ -129,12 +129,12 @@ impl Scheduler {
     }
 }
 
-/// The frames of a job, and before them its own stages, if it has any.
+/// Returns the frames of a job, preceded by its own stages, if it has any.
 fn units(job: &Job) -> impl Iterator<Item = u32> + '_ {
     job.has_job_stages().then_some(Stage::OF_JOB).into_iter().chain(job.frames().iter().copied())
 }
 
-/// The stages of a frame, each in the rounds that have begun, and how many tasks each has.
+/// Returns the stages of a frame, each in the rounds that have begun, with their numbers of tasks.
 fn places(job: &Job, frame: u32, only: Option<u16>) -> Vec<(Place, u32)> {
     let shape = job.shape(frame);
     let mut places: Vec<(Place, u32)> = if job.finished.contains_key(&frame) {

@@ -1,4 +1,4 @@
-//! What may be asked: a job at a glance, all jobs, the frames of one, the workers.
+//! Queries: the status of one or all jobs, the frames of a job, the workers.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,12 +12,12 @@ use crate::ledger::{Hold, Job, Unit};
 use crate::scheduler::Scheduler;
 
 impl Scheduler {
-    /// Every job, in order of submission.
+    /// Returns the status of every job, in order of submission.
     pub fn jobs(&self, now: Tick) -> Vec<JobStatus> {
         self.ledger.of_people().filter_map(|(job, _)| self.status(job, now).ok()).collect()
     }
 
-    /// Every job that has not ended or is wanted, and the names of all that there are.
+    /// Returns the status of every job that has not ended or is wanted, and the numbers of all jobs.
     pub fn changed_jobs(&self, is_wanted: impl Fn(JobId) -> bool, now: Tick) -> (Vec<JobStatus>, BTreeSet<JobId>) {
         let mut there = BTreeSet::new();
         let mut changed = Vec::new();
@@ -30,7 +30,7 @@ impl Scheduler {
         (changed, there)
     }
 
-    /// One job.
+    /// Returns the status of a job.
     pub fn status(&self, id: JobId, now: Tick) -> Result<JobStatus, Refusal> {
         let job = self.job(id)?;
         let ready_tasks = self.ready.get(&id).ok_or(Refusal::NoSuchJob { job: id })?;
@@ -80,19 +80,19 @@ impl Scheduler {
         })
     }
 
-    /// What a job shares with others, needs, and cannot have without a retry.
+    /// Returns the stuck shared jobs that block frames of a job.
     pub(crate) fn stuck_shared(&self, job: &Job) -> impl Iterator<Item = (JobId, &Job)> {
         let keys = job.blocked.iter().filter_map(|&frame| job.content(frame)).collect::<BTreeSet<Digest>>();
         let shared = self.ledger.all_shared().filter(|(_, shared)| shared.is_stuck());
         shared.filter(move |(_, shared)| shared.shared.as_ref().is_some_and(|it| keys.contains(&it.key)))
     }
 
-    /// The finished frames of a job, ascending; what is finished of the job as a whole comes first.
+    /// Returns the records of a job's finished frames, ascending; that of the job's own stages, if finished, comes first.
     pub fn frames(&self, id: JobId) -> Result<Vec<FrameRecord>, Refusal> {
         Ok(self.job(id)?.finished.values().map(|finished| finished.record.clone()).collect())
     }
 
-    /// What there is of a job's frames in work, ascending.
+    /// Returns the existing parts of a job's frames in progress, ascending.
     pub fn parts(&self, id: JobId) -> Result<Vec<FrameParts>, Refusal> {
         let job = self.job(id)?;
         let parts = |(&frame, unit): (&u32, &Unit)| {
@@ -102,7 +102,7 @@ impl Scheduler {
         Ok(job.units.iter().map(parts).filter(|parts| !parts.outputs.is_empty()).collect())
     }
 
-    /// The workers, in order of joining.
+    /// Returns the connected workers, in order of joining.
     pub fn workers(&self, now: Tick) -> Vec<WorkerStatus> {
         let status = |(&worker, known): (_, &crate::lease_table::Worker)| WorkerStatus {
             worker,
@@ -119,7 +119,7 @@ impl Scheduler {
         self.table.workers.iter().map(status).collect()
     }
 
-    /// The leases of one worker, and how long they hold.
+    /// Returns the leases of one worker, with their remaining time.
     pub fn leases(&self, worker: WorkerId, now: Tick) -> Vec<LeaseLeft> {
         let lease = |key: LeaseKey| {
             let lease = self.table.leases.get(&key)?;
@@ -128,22 +128,22 @@ impl Scheduler {
         self.table.held(worker).into_iter().filter_map(lease).collect()
     }
 
-    /// Intake that is granted to a worker.
+    /// Returns the intake that is granted to a worker.
     pub fn intake(&self, worker: WorkerId) -> Intake {
         self.table.workers.get(&worker).map_or(Intake::Open, |known| known.intake)
     }
 
-    /// Whether nothing is done of a job any more, as far as one knows now; nor of one that is not there.
+    /// Checks whether a job has ended, as far as is known now, or does not exist.
     pub fn has_ended(&self, job: JobId) -> bool {
         self.ledger.jobs.get(&job).is_none_or(Job::has_ended)
     }
 
-    /// Messages refused since the start because their lease was over.
+    /// Returns the number of messages refused since the start because their lease was over.
     pub fn stale_messages(&self) -> u64 {
         self.stale_messages
     }
 
-    /// Where a job stands.
+    /// Returns the state of a job.
     pub(crate) fn state_of(&self, id: JobId, job: &Job) -> JobState {
         self.state(job, job.began.is_some() || self.table.of_job(id).next().is_some())
     }
@@ -164,7 +164,7 @@ impl Scheduler {
         }
     }
 
-    /// Units of work in results and running tasks: pixel samples.
+    /// Returns the units of work in results and running tasks: pixel samples.
     pub(crate) fn units(&self, id: JobId) -> u64 {
         let Some(job) = self.ledger.jobs.get(&id) else { return 0 };
         let active: u64 = job.units.values().map(|unit| unit.units).sum();
@@ -172,7 +172,7 @@ impl Scheduler {
         job.finished_units() + active + running
     }
 
-    /// The tasks of a job that are leased, and the units of each so far; of two leases of a task the one that is further counts.
+    /// Returns the leased tasks of a job with their units so far. If a task has two leases, the one with more progress counts.
     fn under_way(&self, id: JobId) -> impl Iterator<Item = (TaskKey, u64)> + '_ {
         let mut leases = self.table.of_job(id).peekable();
         std::iter::from_fn(move || {
@@ -197,7 +197,8 @@ impl Scheduler {
     }
 }
 
-/// How far a frame is, without its running tasks: its main stage is the one that is cut, or else the one that it is at.
+/// Returns the progress of a frame, without its running tasks. Its main stage is the one that is divided into sample chunks, or
+/// else the present one.
 fn progress(job: &Job, frame: u32) -> FrameProgress {
     let (unit, shape) = (job.unit(frame), job.shape(frame));
     let stages = || shape.graph.of(shape.scope);

@@ -1,48 +1,48 @@
-//! Why an artifact cannot be had or kept.
+//! Errors of the artifact store.
 
 use femc_model::Digest;
 
-/// Why an artifact cannot be had or kept.
+/// Error of the artifact store.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// It is not there, or what was there was damaged.
+    /// The artifact is missing, or it was damaged.
     #[error("there is no artifact {digest}")]
     Missing {
         /// Digest of the artifact.
         digest: Digest,
     },
-    /// The bytes are others than announced.
+    /// The bytes do not match the announced digest.
     #[error("the bytes are those of {found}, not of {announced}")]
     Mismatch {
-        /// Digest that was announced.
+        /// The announced digest.
         announced: Digest,
-        /// Digest of the bytes that came.
+        /// Digest of the received bytes.
         found: Digest,
     },
-    /// What was there was damaged and removed, and so was what was put in its place.
+    /// The stored artifact was damaged, and so were its replacements.
     #[error("what the store keeps as {digest} is damaged, again and again")]
     Unsound {
         /// Digest of the artifact.
         digest: Digest,
     },
-    /// Beyond the store's limit.
+    /// The artifact exceeds the store's size limit.
     #[error("an artifact of more than {limit} bytes")]
     TooLarge {
-        /// Bytes.
+        /// Size limit in bytes.
         limit: u64,
     },
-    /// An address that is none.
+    /// The address of the store is invalid.
     #[error("{url} is no address of an artifact store: {message}; write it like s3://bucket/prefix")]
     Url {
         /// Address of the store.
         url: String,
-        /// What is wrong with it.
+        /// Description of the problem.
         message: String,
     },
-    /// The medium refused the call, or cannot be reached.
+    /// The medium refused the request, or cannot be reached.
     #[error("artifact store {store}: {error}")]
     Medium {
-        /// Its name: a folder, an address, or `memory`.
+        /// Name of the store: a folder, an address, or `memory`.
         store: String,
         /// Error of the medium.
         error: object_store::Error,

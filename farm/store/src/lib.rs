@@ -1,9 +1,8 @@
-//! Artifacts by content: tiles, sums, images and scene bundles, named by the BLAKE3 digest of their bytes.
+//! Content-addressed store of artifacts: tiles, sums, images and scene bundles, named by the BLAKE3 digest of their bytes.
 //!
-//! Over `object_store`, so that a folder, memory and an S3-compatible server behave alike. An artifact is written
-//! whole or not at all, never changed, and checked whenever it is read: one that is damaged is removed and reported as
-//! missing, so that whoever needs it has it made again. It is also read before anybody is told that it need not be put
-//! (`mend`).
+//! It is built on `object_store`, so that a folder, memory and an S3-compatible server behave alike. An artifact is written either
+//! whole or not at all, is never changed, and is verified whenever it is read. A damaged artifact is removed and reported as
+//! missing, so that it is produced again. An artifact is also verified before a client is allowed to skip its upload (`mend`).
 #![deny(missing_docs)]
 
 mod backend;
@@ -33,37 +32,37 @@ pub use mend::Soundness;
 pub use object_store;
 pub use upload::Upload;
 
-/// Where artifacts live; clones share it.
+/// A store of artifacts. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Store {
-    /// For messages.
+    /// Name for messages.
     name: Arc<str>,
     objects: Arc<dyn ObjectStore>,
-    /// Where the objects are files.
+    /// Folder of the objects, if they are files.
     folder: Option<Arc<FilePath>>,
     limit: u64,
     seen: Arc<Mutex<Seen>>,
-    /// Held for reading while something becomes readable, for writing while something damaged is removed.
+    /// Lock held for reading while an artifact becomes readable, and for writing while a damaged artifact is removed.
     gate: Arc<RwLock<()>>,
-    /// Who reads only to see whether bytes are sound waits for one of these: each has a block in memory.
+    /// Permits for reading an artifact only to verify it. They limit memory: each reader holds one block.
     readers: Arc<Semaphore>,
 }
 
 impl Store {
-    /// Most bytes of an artifact, unless [`Store::with_limit`] says otherwise.
+    /// Default size limit of an artifact in bytes; see [`Store::with_limit`].
     pub const LIMIT: u64 = 1 << 30;
-    /// Questions to the medium at a time.
+    /// Number of artifacts that [`Store::missing`] checks at the same time.
     const AT_ONCE: usize = 32;
-    /// Bytes that are asked of the medium at once.
+    /// Bytes per read request to the medium.
     pub const READ: u64 = 4 << 20;
-    /// Artifacts that are read at once to see whether they are sound.
+    /// Maximum number of artifacts that are verified at the same time.
     const READERS: usize = 8;
-    /// Bytes that are hashed without a break.
+    /// Number of bytes that are hashed before other tasks get a turn.
     const BITE: usize = 256 << 10;
-    /// How often an artifact is put in the place of a damaged one.
+    /// Number of attempts to replace a damaged artifact.
     const TRIES: usize = 3;
 
-    /// In a folder of this machine, which is made if it is not there; every artifact is synced to the disk.
+    /// Opens a store in a local folder, which is created if needed. Every artifact is synced to the disk.
     pub fn folder(path: &FilePath) -> Result<Self, StoreError> {
         let name = path.display().to_string();
         let wrong = |error| StoreError::Medium { store: name.clone(), error };
@@ -73,18 +72,18 @@ impl Store {
         Ok(Self { folder: Some(path.into()), ..Self::on(&name, Arc::new(files)) })
     }
 
-    /// In memory, as long as a clone lives.
+    /// Creates a store in memory, which lives until its last clone is dropped.
     pub fn memory() -> Self {
         Self::on("memory", Arc::new(InMemory::new()))
     }
 
-    /// In a bucket: `s3://bucket/prefix`, with region, keys and endpoint from the usual `AWS_` variables. Nothing is asked of
-    /// the server yet; [`Store::probe`] does.
+    /// Opens a store in a bucket: `s3://bucket/prefix`, with region, keys and endpoint from the usual `AWS_` variables. No request
+    /// is sent to the server yet; [`Store::probe`] sends one.
     pub fn s3(url: &str) -> Result<Self, StoreError> {
         Ok(Self::on(url, backend::s3::open(url)?))
     }
 
-    /// Over any medium.
+    /// Creates a store on any medium.
     pub fn over(name: &str, objects: Arc<dyn ObjectStore>) -> Self {
         Self::on(name, objects)
     }
@@ -99,38 +98,38 @@ impl Store {
         StoreError::Medium { store: self.name.to_string(), error }
     }
 
-    /// What it lies on, past all checks: for tests, which do harm there.
+    /// Returns the medium below the store, without any checks: for tests that damage artifacts.
     pub fn medium_itself(&self) -> &Arc<dyn ObjectStore> {
         &self.objects
     }
 
-    /// Its name for people: a folder, an address, or `memory`.
+    /// Returns the name of the store for people: a folder, an address, or `memory`.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Whether it is there and answers; waits for as long as it retries.
+    /// Checks that the store can be reached. Waits while requests are retried.
     pub async fn probe(&self) -> Result<(), StoreError> {
         let first = self.objects.list(None).next().await.transpose();
         first.map(drop).map_err(|error| self.medium(error))
     }
 
-    /// The same store with another limit of bytes an artifact.
+    /// Returns this store with another size limit for artifacts, in bytes.
     pub fn with_limit(self, limit: u64) -> Self {
         Self { limit, ..self }
     }
 
-    /// Most bytes of an artifact.
+    /// Returns the size limit of an artifact in bytes.
     pub fn limit(&self) -> u64 {
         self.limit
     }
 
-    /// Whether it is there.
+    /// Checks whether the artifact exists, without verifying its bytes.
     pub async fn has(&self, digest: &Digest) -> Result<bool, StoreError> {
         Ok(self.size(digest).await?.is_some())
     }
 
-    /// Its bytes' number, if it is there.
+    /// Returns the artifact's size in bytes; `None` if it does not exist.
     pub async fn size(&self, digest: &Digest) -> Result<Option<u64>, StoreError> {
         match self.objects.head(&place(digest)).await {
             Ok(meta) => Ok(Some(meta.size)),
@@ -140,11 +139,11 @@ impl Store {
     }
 
     pub(crate) fn seen(&self) -> MutexGuard<'_, Seen> {
-        // Nothing panics under this lock.
+        // Nothing panics while this lock is held.
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps `bytes`; what is there already is left alone, if it is whole.
+    /// Stores `bytes`. An existing sound artifact is left unchanged.
     pub async fn put(&self, bytes: Bytes) -> Result<Artifact, StoreError> {
         Ok(self.keep(bytes).await?.0)
     }
@@ -175,12 +174,12 @@ impl Store {
         Err(StoreError::Unsound { digest: artifact.digest })
     }
 
-    /// Begins to keep an artifact that comes in pieces.
+    /// Begins the upload of an artifact that arrives in pieces.
     pub fn upload(&self, announced: Digest) -> Upload {
         Upload::new(self.clone(), announced)
     }
 
-    /// All its bytes, checked. Damaged ones are removed and reported as missing.
+    /// Returns all bytes of the artifact, verified. A damaged artifact is removed and reported as missing.
     pub async fn get(&self, digest: &Digest) -> Result<Bytes, StoreError> {
         let result = match self.objects.get(&place(digest)).await {
             Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
@@ -194,9 +193,9 @@ impl Store {
         Ok(bytes)
     }
 
-    /// Its bytes from `offset` on in pieces of at most `piece` bytes, sent to `out` until that is closed. All of it is read
-    /// and checked, also what is not sent: one that is damaged is removed, and reported as a mismatch when most of it has
-    /// been sent.
+    /// Sends the artifact's bytes from `offset` on to `out`, in pieces of at most `piece` bytes, until `out` is closed. The whole
+    /// artifact is read and verified, including the bytes before `offset`. A damaged artifact is removed. It is reported as a
+    /// mismatch after most of it has been sent.
     pub async fn read(
         &self,
         digest: &Digest,
@@ -225,7 +224,7 @@ impl Store {
         Ok(())
     }
 
-    /// A part of its bytes, unchecked: read it after [`Store::verify`] or [`Store::known`].
+    /// Returns a part of the artifact's bytes, unverified: call [`Store::verify`] or [`Store::known`] first.
     /// - `range`: within the artifact.
     pub async fn part(&self, digest: &Digest, range: std::ops::Range<u64>) -> Result<Bytes, StoreError> {
         let wanted = range.end.saturating_sub(range.start);
@@ -236,15 +235,15 @@ impl Store {
             Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
             other => other.map_err(|error| self.medium(error))?,
         };
-        // A medium may answer with the bytes that are left of a shorter object.
+        // If the object is shorter than the range, a medium may return only the bytes that exist.
         if bytes.len() as u64 == wanted { Ok(bytes) } else { Err(StoreError::Missing { digest: *digest }) }
     }
 
-    /// Removes it; one that is not there is no error.
+    /// Removes the artifact; a missing artifact is not an error.
     pub async fn remove(&self, digest: &Digest) -> Result<(), StoreError> {
         self.seen().forget(digest);
         let deleted = self.objects.delete(&place(digest)).await;
-        // Again: who found it there meanwhile has noted it.
+        // Forget it again: a concurrent check may have found it before the deletion and noted it.
         self.seen().forget(digest);
         match deleted {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
@@ -252,12 +251,12 @@ impl Store {
         }
     }
 
-    /// Every artifact that is there, in no order.
+    /// Returns all artifacts, in arbitrary order.
     pub async fn list(&self) -> Result<Vec<Artifact>, StoreError> {
         Ok(self.listing().await?.into_iter().map(|stored| stored.artifact).collect())
     }
 
-    /// The same with the times at which they were kept, by the medium's clock.
+    /// Returns all artifacts with the times at which they were stored, by the medium's clock.
     pub async fn listing(&self) -> Result<Vec<Stored>, StoreError> {
         let mut objects = self.objects.list(None);
         let mut all = Vec::new();
@@ -272,8 +271,8 @@ impl Store {
         Ok(all)
     }
 
-    /// Files of uploads that have not got on for `idle`: their number and their bytes. A bucket has a rule of its own for
-    /// such.
+    /// Counts or removes the files of uploads that made no progress for `idle`. Returns the number of the files and their total
+    /// bytes. In a bucket there are no such files: a rule of the bucket removes incomplete uploads.
     pub async fn sweep_uploads(&self, idle: Duration, sweep: Sweep) -> Result<(u64, u64), StoreError> {
         let Some(folder) = self.folder.clone() else { return Ok((0, 0)) };
         let work = move || {
@@ -288,21 +287,21 @@ impl Store {
     }
 }
 
-/// How old an artifact is that has just been put.
+/// Age of an artifact that has just been stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Novelty {
-    /// As old as this.
+    /// The artifact was written by this call.
     New,
-    /// Perhaps older: it was there before, or came in parts (S3 counts from the first of them).
+    /// The artifact may be older: it existed before, or arrived in parts (S3 dates it by the first part).
     Older,
 }
 
-/// What a sweep does with what nobody needs.
+/// Action of a sweep on files that are no longer needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sweep {
-    /// Only counts it.
+    /// Only count them.
     Count,
-    /// Removes it.
+    /// Remove them.
     Remove,
 }
 
@@ -315,7 +314,7 @@ pub struct Stored {
     pub kept: SystemTime,
 }
 
-/// Where an artifact lies: two digits for the folder, the rest for the file; no folder grows too large.
+/// Returns the path of an artifact: two digits name the folder, the rest names the file, so that no folder grows too large.
 pub fn place(digest: &Digest) -> Path {
     let name = digest.to_string();
     Path::from_iter([&name[..2], &name[2..]])

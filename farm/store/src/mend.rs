@@ -1,8 +1,9 @@
-//! Bytes that are not those of their name any more: found by reading, and removed, so that they can be put again.
+//! Verification of artifacts: reading finds bytes that no longer match their digest, and removes them, so that they can be stored
+//! again.
 //!
-//! A disk may lose the end of a file, or change a bit of it, long after it has said that the file is safe. Whoever reads an
-//! artifact finds out; whoever only asks whether it is there does not. So what is about to be relied on, because somebody
-//! would else send it or make it, is read first: the reading costs less than the sending.
+//! A disk may lose the end of a file or change a bit of it, long after it has confirmed the write. Reading an artifact detects
+//! this; a check for its existence does not. Therefore an artifact is read before the farm relies on it instead of having it sent
+//! or produced again. Reading costs less than sending.
 
 use bytes::Bytes;
 use femc_model::{Artifact, Digest};
@@ -10,18 +11,18 @@ use object_store::ObjectStoreExt as _;
 
 use crate::{Store, StoreError, place};
 
-/// What reading an artifact came to.
+/// Result of verifying an artifact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Soundness {
-    /// It is there, whole, with so many bytes.
+    /// The artifact is intact and has this size in bytes.
     Sound(u64),
-    /// It was there with other bytes than its own; it is removed.
+    /// The bytes did not match the digest; the artifact is removed.
     Damaged,
-    /// It is not there.
+    /// The artifact does not exist.
     Missing,
 }
 
-/// Reads an artifact to its end, and what its bytes' digest is.
+/// State of reading an artifact from start to end, with the digest of the bytes read.
 pub(crate) struct Reading {
     hash: blake3::Hasher,
     size: u64,
@@ -29,13 +30,13 @@ pub(crate) struct Reading {
 }
 
 impl Store {
-    /// Begins to read.
+    /// Begins to read an artifact.
     pub(crate) async fn begin(&self, digest: &Digest) -> Result<Reading, StoreError> {
         let size = self.size(digest).await?.ok_or(StoreError::Missing { digest: *digest })?;
         Ok(Reading { hash: blake3::Hasher::new(), size, at: 0 })
     }
 
-    /// The next block; `None` at the end.
+    /// Reads the next block; `None` at the end.
     pub(crate) async fn next(&self, digest: &Digest, reading: &mut Reading) -> Result<Option<Bytes>, StoreError> {
         if reading.at >= reading.size {
             return Ok(None);
@@ -49,14 +50,14 @@ impl Store {
         Ok(Some(block))
     }
 
-    /// Reads it when fewer than so many are read: whether its bytes are its own.
+    /// Reads an artifact and checks its bytes. Waits for a permit of [`Store::READERS`].
     async fn look(&self, digest: &Digest) -> Result<Soundness, StoreError> {
-        // It is never closed.
+        // The semaphore is never closed.
         let _reader = self.readers.acquire().await.ok();
         self.look_now(digest).await
     }
 
-    /// The same of who has the permit to.
+    /// Reads an artifact and checks its bytes. The caller holds a permit.
     async fn look_now(&self, digest: &Digest) -> Result<Soundness, StoreError> {
         let mut reading = match self.begin(digest).await {
             Err(StoreError::Missing { .. }) => return Ok(Soundness::Missing),
@@ -79,13 +80,13 @@ impl Store {
         Ok(if reading.digest() == *digest { Soundness::Sound(size) } else { Soundness::Damaged })
     }
 
-    /// Reads it to its end. One that is damaged is removed.
+    /// Reads an artifact to its end and checks its bytes. A damaged artifact is removed.
     pub async fn verify(&self, digest: &Digest) -> Result<Soundness, StoreError> {
         let found = self.look(digest).await?;
         self.conclude(digest, found).await
     }
 
-    /// The same by its size alone, if it came in or was read lately.
+    /// Checks only the size of an artifact that was recently stored or read with this size; verifies any other artifact.
     async fn check(&self, digest: &Digest) -> Result<Soundness, StoreError> {
         let seen = self.seen().size(digest);
         match self.size(digest).await? {
@@ -95,7 +96,8 @@ impl Store {
         }
     }
 
-    /// The same from memory alone, if it came in or was read lately with so many bytes: somebody else may have harmed it since.
+    /// Returns the remembered result for an artifact that was recently stored or read with this size, without asking the medium;
+    /// verifies any other artifact. Another process may have damaged a remembered artifact since.
     pub async fn known(&self, artifact: &Artifact) -> Result<Soundness, StoreError> {
         let seen = self.seen().size(&artifact.digest);
         match seen {
@@ -104,8 +106,8 @@ impl Store {
         }
     }
 
-    /// Those of `digests` that are not there, in their order; asks for several at once. What did not come in lately is read, and
-    /// removed if it is damaged.
+    /// Returns the digests of `digests` that are missing, in their order. Several are checked at the same time. Artifacts that were
+    /// not stored or read recently are verified, and removed if they are damaged.
     pub async fn missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         let mut missing = Vec::new();
         for some in digests.chunks(Self::AT_ONCE) {
@@ -115,7 +117,7 @@ impl Store {
             };
             let asked: Vec<_> = some.iter().copied().map(ask).collect();
             for (digest, asked) in some.iter().zip(asked) {
-                // One that panicked knows nothing.
+                // A check that panicked has no result: the artifact counts as missing.
                 match asked.await.unwrap_or(Ok(Soundness::Missing))? {
                     Soundness::Sound(_) => {}
                     Soundness::Damaged | Soundness::Missing => missing.push(*digest),
@@ -125,14 +127,16 @@ impl Store {
         Ok(missing)
     }
 
-    /// What reading has found: remembered, or removed. Only what is damaged still while nothing is put is removed: else the
-    /// bytes might go that somebody has just put there in its place.
+    /// Applies the result of a reading: remembers a sound artifact, removes a damaged one. The damaged artifact is read again under
+    /// the exclusive lock, when no put is in progress, and removed only if it is still damaged. Otherwise a replacement that was
+    /// just stored could be removed.
     async fn conclude(&self, digest: &Digest, found: Soundness) -> Result<Soundness, StoreError> {
         match found {
             Soundness::Sound(bytes) => self.seen().note(Artifact { digest: *digest, bytes }),
             Soundness::Missing => self.seen().forget(digest),
             Soundness::Damaged => {
-                // In this order: who holds the gate waits for no other reading, while every put waits for it.
+                // The permit is acquired before the lock: every put waits for the lock, so its owner must not wait for other
+                // readers.
                 let _reader = self.readers.acquire().await.ok();
                 let _alone = self.gate.write().await;
                 let again = self.look_now(digest).await?;
@@ -147,12 +151,12 @@ impl Store {
 }
 
 impl Reading {
-    /// Takes in the next bytes.
+    /// Adds the next bytes to the digest.
     pub(crate) fn take(&mut self, bytes: &[u8]) {
         self.hash.update(bytes);
     }
 
-    /// Of all bytes that were taken in.
+    /// Returns the digest of all bytes so far.
     pub(crate) fn digest(&self) -> Digest {
         Digest::from_bytes(*self.hash.finalize().as_bytes())
     }

@@ -1,10 +1,10 @@
-//! What came in or was read lately: known to be there, and whole, without asking the medium.
+//! Cache of artifacts that were recently stored or verified: they count as present and sound without asking the medium.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use femc_model::{Artifact, Digest};
 
-/// Sizes of the latest artifacts, oldest first to go.
+/// Sizes of recent artifacts; the oldest entry is evicted first.
 #[derive(Debug, Default)]
 pub(crate) struct Seen {
     sizes: BTreeMap<Digest, u64>,
@@ -12,7 +12,7 @@ pub(crate) struct Seen {
 }
 
 impl Seen {
-    /// Most artifacts that are remembered: a few megabytes.
+    /// Maximum number of entries: a few megabytes.
     const MOST: usize = 1 << 16;
 
     pub(crate) fn note(&mut self, Artifact { digest, bytes }: Artifact) {
@@ -31,7 +31,7 @@ impl Seen {
     }
 
     pub(crate) fn forget(&mut self, digest: &Digest) {
-        // Its place in the order goes when its time comes.
+        // Its entry in `order` stays until it is evicted.
         self.sizes.remove(digest);
     }
 }

@@ -1,4 +1,4 @@
-//! An artifact that comes in pieces: hashed on the way, kept only if it is what was announced.
+//! Uploads of artifacts in pieces: hashed while they arrive, stored only if the digest is the announced one.
 
 use bytes::BytesMut;
 use femc_model::{Artifact, Digest};
@@ -6,10 +6,10 @@ use object_store::{MultipartUpload, ObjectStoreExt as _};
 
 use crate::{Novelty, Store, StoreError, place};
 
-/// Bytes kept in memory before they go to the medium; S3 wants at least 5 MiB a part.
+/// Bytes buffered in memory before a part is written to the medium; S3 requires at least 5 MiB per part.
 const PART: usize = 8 << 20;
 
-/// An artifact on its way in. Dropped before [`Upload::finish`], it leaves nothing that can be read.
+/// An upload in progress. If it is dropped before [`Upload::finish`], no readable artifact remains.
 pub struct Upload {
     store: Store,
     announced: Digest,
@@ -24,17 +24,17 @@ impl Upload {
         Self { store, announced, hash: blake3::Hasher::new(), held: BytesMut::new(), size: 0, parts: None }
     }
 
-    /// Bytes taken so far.
+    /// Returns the number of bytes received so far.
     pub fn size(&self) -> u64 {
         self.size
     }
 
-    /// Forgets it, and what of it lies on the medium.
+    /// Cancels the upload and removes its parts from the medium.
     pub async fn abandon(mut self) {
         self.abort().await;
     }
 
-    /// Takes the next piece. After an error the upload is of no use any more.
+    /// Adds the next piece. After an error the upload cannot be used any more.
     pub async fn write(&mut self, piece: &[u8]) -> Result<(), StoreError> {
         self.size += piece.len() as u64;
         if self.size > self.store.limit {
@@ -57,19 +57,19 @@ impl Upload {
                 self.parts.insert(begun.map_err(|error| self.store.medium(error))?)
             }
         };
-        // Parts of one size: some servers want that. The last may be shorter.
+        // All parts have the same size, because some servers require it. The last part may be shorter.
         let part = self.held.split_to(self.held.len().min(PART)).freeze();
         parts.put_part(part.into()).await.map_err(|error| self.store.medium(error))
     }
 
     async fn abort(&mut self) {
         if let Some(mut parts) = self.parts.take() {
-            // What cannot be taken back is not readable either.
+            // Parts that cannot be removed are not readable, either.
             let _ = parts.abort().await;
         }
     }
 
-    /// Keeps the artifact, if its bytes are those announced. A large one takes the place of one that is there.
+    /// Stores the artifact if its bytes have the announced digest. An artifact of several parts replaces an existing one.
     pub async fn finish(mut self) -> Result<(Artifact, Novelty), StoreError> {
         let found = Digest::from_bytes(*self.hash.finalize().as_bytes());
         if found != self.announced {

@@ -1,4 +1,4 @@
-//! What every artifact store must do.
+//! Conformance tests that every artifact store must pass.
 
 use std::time::Duration;
 
@@ -84,14 +84,14 @@ async fn conforms(store: &Store) {
         assert_eq!(upload.finish().await.unwrap(), (Artifact::of(b"small"), novelty));
     }
 
-    // Two who put the same at the same time both have it.
+    // Two simultaneous puts of the same bytes both succeed.
     let same = Bytes::from(vec![7; 300_000]);
     let both = tokio::join!(store.put(same.clone()), store.put(same.clone()));
     assert_eq!(both.0.unwrap(), both.1.unwrap());
     assert_eq!(store.get(&Digest::of(&same)).await.unwrap(), same);
 }
 
-/// What a medium may make of `whole`: nothing at all of it, less, other bytes, more.
+/// Returns damaged variants of `whole`: empty, shorter, changed and longer ones.
 fn harms(whole: &[u8]) -> Vec<(String, Vec<u8>)> {
     let size = whole.len();
     let mut cuts: Vec<usize> = [0, 1, size / 2, size - 1].into_iter().filter(|&cut| cut < size).collect();
@@ -102,7 +102,7 @@ fn harms(whole: &[u8]) -> Vec<(String, Vec<u8>)> {
         flipped[at] ^= 0x10;
         all.push((format!("flipped at {at}"), flipped));
     }
-    // As after a crash: the size is right, and the end never reached the disk.
+    // As after a crash: the size is right, but the end never reached the disk.
     let mut torn = whole.to_vec();
     torn[size / 2..].fill(0);
     all.push(("torn".into(), torn));
@@ -110,23 +110,23 @@ fn harms(whole: &[u8]) -> Vec<(String, Vec<u8>)> {
     all
 }
 
-/// How the bytes come that take the place of damaged ones.
+/// Method of replacing damaged bytes.
 #[derive(Debug, Clone, Copy)]
 enum Way {
     Put,
-    /// In one part and a bit, or at once.
+    /// For the large artifact, one full part and a smaller one; for the small one, a single put.
     Upload,
 }
 
-/// Whatever the medium makes of an artifact, nobody is told for long that it is there, and it can be put again.
+/// Checks that damage of any kind is detected, and that the artifact can be stored again.
 async fn heals(store: &Store) {
-    // The large one comes in several parts, and is read in several blocks.
+    // The large artifact is written in several parts and read in several blocks.
     let large: Vec<u8> = (0..9_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
     for whole in [b"a tile of some bytes".to_vec(), large] {
         let whole = Bytes::from(whole);
         let Artifact { digest, bytes } = Artifact::of(&whole);
         let all = harms(&whole);
-        // Of the large one, one of each kind.
+        // For the large artifact, only every second kind of damage is tested.
         let step = if whole.len() < 1000 { 1 } else { 2 };
         for (harm, damaged) in all.into_iter().step_by(step) {
             for way in [Way::Put, Way::Upload] {
@@ -158,7 +158,7 @@ async fn heals(store: &Store) {
                     assert!(is_gone().await, "{harm}, read from {offset}");
                 }
 
-                // Put over the damaged one, as by somebody who has not asked before.
+                // Store over the damaged artifact, like a client that has not checked before.
                 plant().await;
                 match way {
                     Way::Put => drop(store.put(whole.clone()).await.unwrap()),
@@ -175,7 +175,7 @@ async fn heals(store: &Store) {
                     assert_eq!(store.missing(&[digest]).await.unwrap(), [digest], "{harm}");
                     assert!(is_gone().await, "{harm}");
                 }
-                // One whose memory is of before the harm, and one that has none.
+                // One store remembers the artifact from before the damage; a fresh one has an empty cache.
                 store.put(whole.clone()).await.unwrap();
                 assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Sound(bytes));
                 let fresh = Store::over("the same", store.medium_itself().clone());
@@ -185,19 +185,19 @@ async fn heals(store: &Store) {
                 assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing, "{harm}");
             }
         }
-        // One that somebody else has removed is not known any more when that was found.
+        // An artifact that another process removed is forgotten as soon as that is detected.
         store.put(whole.clone()).await.unwrap();
         store.medium_itself().delete(&place(&digest)).await.unwrap();
         assert_eq!(store.verify(&digest).await.unwrap(), Soundness::Missing);
         assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing);
-        // A sound one of which somebody believes another size is none of the store's faults.
+        // A sound artifact is kept even if the caller expects another size.
         store.put(whole.clone()).await.unwrap();
         assert_eq!(store.known(&Artifact { digest, bytes: bytes + 1 }).await.unwrap(), Soundness::Sound(bytes));
         assert_eq!(store.get(&digest).await.unwrap(), whole, "and it stays");
     }
 }
 
-/// A place of its own on the S3 server that `tests/s3` starts.
+/// Opens a separate prefix on the S3 server that `tests/s3` starts.
 fn s3(name: &str) -> Option<Store> {
     let bucket = Need::S3.variable("FEMC_TEST_S3")?;
     Some(Store::s3(&format!("{bucket}/{name}/{}", std::process::id())).unwrap())
@@ -221,7 +221,7 @@ async fn two_prefixes_of_a_bucket_are_two_stores() {
 #[tokio::test]
 async fn a_store_that_is_away_is_named_with_the_cause_and_nothing_is_called_missing() {
     let Some(store) = s3("no-such-bucket") else { return };
-    // What the bucket's name is may not be known to the server.
+    // A bucket that the server does not have.
     let url = store.name().replace("femc-test", "femc-nowhere");
     let away = Store::s3(&url).unwrap();
     let bytes = Bytes::from_static(b"a tile");
@@ -275,7 +275,7 @@ async fn the_file_of_an_upload_that_nobody_finished_is_found_and_nothing_else() 
     std::fs::write(folder.path().join("a person's note #1"), "stays").unwrap();
     let mut upload = store.upload(Digest::of(b"large"));
     upload.write(&[7; 9_000_000]).await.unwrap();
-    // As if its process had been killed.
+    // As if the process had been killed.
     std::mem::forget(upload);
     let (now, hour) = (Duration::ZERO, Duration::from_secs(3600));
     assert_eq!(store.sweep_uploads(hour, Sweep::Remove).await.unwrap(), (0, 0));

@@ -1,9 +1,10 @@
-//! The record of what was done to a farm, and of what was refused: who, from where, what, with which outcome.
+//! Audit log of all actions on a farm, performed or refused: the caller, the caller's address, the call, and the outcome.
 //!
-//! A line of JSON each, in a file that only grows. A line is handed to the system before the caller hears the answer, so it
-//! outlives the process; the disk has it within a fifth of a second. The same refusal again and again is one line a second with
-//! a count, so that who knocks all the time does not push out what others did. The file is put aside at 64 MiB, and the latest
-//! seven of these are kept. There are no secrets in it: certificates and tokens stand there by their digests.
+//! The log is a file to which lines of JSON are appended, one for each action. A line is handed to the operating system before the
+//! caller receives the answer, so it outlives the process. It reaches the disk within 0.2 s. Repeated refusals of the same action
+//! become one line per second with a count, so that a client that retries all the time does not displace other entries. The file is
+//! rotated at 64 MiB, and the latest seven rotated files are kept. The log contains no secrets: certificates and tokens are
+//! represented by their digests.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -19,64 +20,64 @@ use time::OffsetDateTime;
 
 use crate::TrustError;
 
-/// What somebody did, or tried to do.
+/// An action, performed or refused.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct AuditEvent {
-    /// Role and name; `anybody` where nobody is asked.
+    /// Role and name of the caller; `anybody` if callers are not authenticated.
     pub who: String,
-    /// The digest of the certificate or token that says so.
+    /// Digest of the certificate or token that identified the caller.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
-    /// The address.
+    /// Address of the caller.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
-    /// The call, like `Jobs/Submit`.
+    /// Name of the call, like `Jobs/Submit`.
     pub call: String,
-    /// The job.
+    /// Number of the job.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub job: Option<u64>,
-    /// What the call asked for.
+    /// Arguments of the call.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub what: Option<String>,
     /// `ok`, or the code of the refusal.
     pub outcome: String,
-    /// Why it was refused.
+    /// Reason for the refusal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }
 
 #[derive(Serialize)]
 struct Line<'a> {
-    /// UTC.
+    /// Time in UTC.
     time: String,
     #[serde(flatten)]
     event: &'a AuditEvent,
-    /// How often since the line before that says the same.
+    /// Number of repetitions since the previous line with the same event.
     #[serde(skip_serializing_if = "Option::is_none")]
     times: Option<u64>,
 }
 
-/// A record; clones write the same one, which is closed with the last of them.
+/// An audit log. Clones write to the same log, which is closed when the last clone is dropped.
 #[derive(Debug, Clone)]
 pub struct Audit(Arc<Shared>);
 
 #[derive(Debug)]
 struct Shared {
     book: Arc<Mutex<Book>>,
-    /// Dropped at the end, for which the writer to the disk waits.
+    /// Sender that is dropped at the end to stop the thread that syncs the file.
     open: Option<Sender<()>>,
     keeper: Option<JoinHandle<()>>,
 }
 
 impl Audit {
-    /// Bytes at which a file is put aside.
+    /// Size in bytes at which a file is rotated.
     pub const MOST: u64 = 64 << 20;
-    /// Files that were put aside and are kept.
+    /// Number of rotated files that are kept.
     const ASIDE: usize = 7;
-    /// Between two writings to the disk.
+    /// Time between two syncs to the disk.
     const SYNC: Duration = Duration::from_millis(200);
 
-    /// Goes on with the record in `path`, or begins one.
+    /// Opens the log at `path`, or creates it.
     pub fn open(path: &Path) -> Result<Self, TrustError> {
         Self::with(path, Self::MOST)
     }
@@ -92,7 +93,7 @@ impl Audit {
         Ok(Self(Arc::new(Shared { book, open: Some(open), keeper })))
     }
 
-    /// The latest lines, the last one first; one that makes no sense is left out.
+    /// Returns the latest `count` lines, newest first. Lines that cannot be parsed are left out.
     pub fn latest(&self, count: usize) -> Result<Vec<serde_json::Value>, TrustError> {
         let path = lock(&self.0.book).path.clone();
         let mut found = Vec::new();
@@ -110,12 +111,12 @@ impl Audit {
         Ok(found)
     }
 
-    /// Notes what was done, or not done for another reason than a refusal.
+    /// Records an action that was performed, or that failed for another reason than a refusal.
     pub fn note(&self, event: &AuditEvent) {
         lock(&self.0.book).write(event, None);
     }
 
-    /// Notes a refusal: the first at once, and how often it came again once a second.
+    /// Records a refusal: the first one immediately, repetitions as a count once a second.
     pub fn refused(&self, event: AuditEvent) {
         let mut book = lock(&self.0.book);
         if let Some(times) = book.again.get_mut(&event) {
@@ -133,18 +134,18 @@ impl Drop for Shared {
     fn drop(&mut self) {
         self.open = None;
         if let Some(keeper) = self.keeper.take() {
-            // It has only this to do; a panic of it was told.
+            // A panic of this thread has already been logged.
             let _ = keeper.join();
         }
     }
 }
 
 fn lock(book: &Mutex<Book>) -> MutexGuard<'_, Book> {
-    // A panic within the few lines under this lock leaves a line half written at worst.
+    // A panic under this lock leaves at worst a half-written line.
     book.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Brings to the disk what was written, until the record is closed.
+/// Syncs written lines to the disk until the log is closed.
 fn keep(book: &Mutex<Book>, closed: &Receiver<()>) {
     let mut turns = 0;
     loop {
@@ -157,7 +158,7 @@ fn keep(book: &Mutex<Book>, closed: &Receiver<()>) {
             }
             std::mem::take(&mut book.is_dirty).then(|| book.file.try_clone())
         };
-        // Not under the lock: who writes does not wait for the disk.
+        // The lock is released before the sync, so that writers do not wait for the disk.
         if let Some(Err(error)) = file.map(|file| file.and_then(|file| file.sync_data())) {
             tracing::error!(%error, "the audit record does not reach the disk");
         }
@@ -174,14 +175,14 @@ struct Book {
     bytes: u64,
     most: u64,
     is_dirty: bool,
-    /// Refusals of this second, and how often they came after the first time.
+    /// Refusals of this second, with the number of repetitions after the first.
     again: BTreeMap<AuditEvent, u64>,
-    /// Refusals beyond so many different ones.
+    /// Number of refusals beyond [`Book::DIFFERENT`] different ones.
     others: u64,
 }
 
 impl Book {
-    /// Most different refusals that are told apart within a second.
+    /// Maximum number of different refusals that are counted separately within a second.
     const DIFFERENT: usize = 256;
 
     fn open(path: &Path, most: u64) -> std::io::Result<Self> {
@@ -192,7 +193,7 @@ impl Book {
 
     fn write(&mut self, event: &AuditEvent, times: Option<u64>) {
         if let Err(error) = self.try_write(event, times) {
-            // What was done is done: it must not be lost without a word.
+            // The action has already happened, so it must at least appear in this log.
             tracing::error!(%error, ?event, "the audit record cannot be written");
         }
     }
@@ -209,7 +210,7 @@ impl Book {
         Ok(())
     }
 
-    /// `audit.jsonl` becomes `audit.jsonl.1`, that becomes `.2`, and the last goes.
+    /// Rotates the files: `audit.jsonl` becomes `audit.jsonl.1`, `.1` becomes `.2`, and the oldest is removed.
     fn put_aside(&mut self) -> std::io::Result<()> {
         self.file.sync_data()?;
         let aside = |number| aside(&self.path, number);
@@ -225,7 +226,7 @@ impl Book {
         Ok(())
     }
 
-    /// Writes how often this second's refusals came again.
+    /// Writes the number of repetitions of this second's refusals.
     fn tell_again(&mut self) {
         for (event, times) in std::mem::take(&mut self.again) {
             if times > 0 {
@@ -240,16 +241,16 @@ impl Book {
     }
 }
 
-/// Where a file is put aside.
+/// Returns the path of rotated file `number`.
 fn aside(path: &Path, number: usize) -> PathBuf {
     let mut name = path.to_owned().into_os_string();
     name.push(format!(".{number}"));
     PathBuf::from(name)
 }
 
-/// The last lines of a file that are JSON, the last one first; they are looked for in its last megabytes.
+/// Returns the last `count` lines of a file that are valid JSON, newest first. Only the last megabytes of the file are read.
 fn last_lines(mut file: File, count: usize) -> std::io::Result<Vec<serde_json::Value>> {
-    /// Bytes that are read at most.
+    /// Maximum number of bytes to read.
     const MOST: u64 = 8 << 20;
     let length = file.metadata()?.len();
     file.seek(SeekFrom::Start(length.saturating_sub(MOST)))?;
@@ -267,7 +268,7 @@ fn append_to(path: &Path) -> std::io::Result<File> {
     options.open(path)
 }
 
-/// UTC, with milliseconds.
+/// Returns the current time in UTC, with milliseconds.
 fn now() -> String {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let moment = OffsetDateTime::from(UNIX_EPOCH + since);

@@ -1,4 +1,4 @@
-//! A farm's own authority: a folder with a key, and a list of what it was used for.
+//! A farm's own certificate authority: a folder with a private key and a list of the certificates that it issued.
 
 use std::io::Write as _;
 use std::net::IpAddr;
@@ -17,7 +17,8 @@ use crate::identity::{create, private};
 use crate::until;
 use crate::{Fingerprint, Holder, Identity, Pass, Revoked, Token, TokenLine, TrustError};
 
-/// A folder: `authority.pem` (its certificate), `authority.key`, `issued.jsonl`, `revoked`, `tokens`.
+/// A certificate authority. Its folder holds `authority.pem` (its certificate), `authority.key`, `name`, `issued.jsonl`, `revoked`
+/// and `tokens`.
 #[derive(Debug)]
 pub struct Authority {
     folder: PathBuf,
@@ -25,67 +26,68 @@ pub struct Authority {
     issuer: Issuer<'static, KeyPair>,
 }
 
-/// Name in every coordinator certificate; clients verify it whatever address they dialed.
+/// Host name in every coordinator certificate; clients verify this name whatever address they dialed.
 pub const COORDINATOR_HOST: &str = "coordinator.femc.internal";
 
-/// What is asked of an authority.
+/// A request for a certificate.
 #[derive(Debug, Clone)]
 pub struct Issue {
     /// Holder of the certificate.
     pub holder: Holder,
-    /// Names and addresses under which a coordinator is reached by tools that check them; femc's own do not need them.
+    /// Additional host names and addresses of a coordinator, for tools that verify them. The clients of femc do not need them.
     /// `localhost` and the loopback addresses are added.
     pub hosts: Vec<String>,
-    /// How long it holds, days.
+    /// Validity in days.
     pub days: u32,
 }
 
-/// What an authority has issued.
+/// Record of an issued certificate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Issued {
-    /// For whom, as its certificate says it.
+    /// Holder, as written in the certificate.
     pub holder: String,
-    /// For people and for `revoke`.
+    /// Name of the holder, for people and for `revoke`.
     pub name: String,
-    /// The certificate's.
+    /// Fingerprint of the certificate.
     pub fingerprint: String,
-    /// Seconds since 1970 from which it holds no more.
+    /// End of validity, in seconds since 1970.
     pub until: i64,
 }
 
 impl Issued {
-    /// Days that it still holds; negative: it held until then.
+    /// Returns the remaining validity in days; negative after its end.
     pub fn days_left(&self) -> i64 {
         (self.until - OffsetDateTime::now_utc().unix_timestamp()).div_euclid(86_400)
     }
 
-    /// Whether the list names its certificate.
+    /// Checks whether the list contains its certificate.
     pub fn is_revoked(&self, revoked: &Revoked) -> bool {
         Fingerprint::parse(&self.fingerprint).is_none_or(|fingerprint| revoked.holds(&fingerprint))
     }
 }
 
-/// A clock that is a little behind takes a new certificate for one of the future.
+/// Time by which a certificate's validity begins early, so that machines whose clocks are slightly behind accept it.
 const SKEW: Duration = Duration::hours(1);
 
 impl Authority {
-    /// Years that an authority holds.
+    /// Validity of an authority in years.
     const YEARS: i64 = 10;
 
-    /// Makes one in `folder`, which is made; `name` is for people. One that is there already is left as it is.
+    /// Creates an authority in `folder`, which is created if needed; `name` is for people. An existing authority is an error and is
+    /// not changed.
     pub fn init(folder: &Path, name: &str) -> Result<Self, TrustError> {
         Holder::Coordinator { name: name.into() }.check()?;
         std::fs::create_dir_all(folder).map_err(TrustError::file(folder))?;
         let key = KeyPair::generate()?;
         let certificate = of_authority(name).self_signed(&key)?.pem();
-        // The key first: a folder with one is an authority.
+        // The key is written first: a folder with a key counts as an authority.
         create(&folder.join("authority.key"), &key.serialize_pem())?;
         create(&folder.join("name"), name)?;
         create(&folder.join("authority.pem"), &certificate)?;
         Self::open(folder)
     }
 
-    /// The one in `folder`.
+    /// Opens the authority in `folder`.
     pub fn open(folder: &Path) -> Result<Self, TrustError> {
         let read = |name: &str| {
             let path = folder.join(name);
@@ -100,11 +102,11 @@ impl Authority {
         Ok(Self { folder: folder.into(), certificate, issuer: Issuer::new(of_authority(name.trim()), key) })
     }
 
-    /// Reads the certificate of the authority in `folder`, PEM. Its key is not read.
+    /// Reads the PEM certificate of the authority in `folder`. Its key is not read.
     pub fn certificate(folder: &Path) -> Result<String, TrustError> {
         let path = folder.join("authority.pem");
         let text = std::fs::read_to_string(&path).map_err(TrustError::file(&path))?;
-        // A key that somebody has put beside the certificate stays there.
+        // A file that also contains a private key is refused, so that the key is not handed out.
         let certificates = CertificateDer::pem_slice_iter(text.as_bytes()).collect::<Result<Vec<_>, _>>();
         match certificates.as_deref() {
             Ok([_]) if !text.contains("PRIVATE KEY") => Ok(text),
@@ -113,7 +115,7 @@ impl Authority {
         }
     }
 
-    /// A new identity, noted in the folder before it is returned.
+    /// Issues a new identity. It is recorded in the folder before this returns.
     pub fn issue(&self, issue: &Issue) -> Result<Identity, TrustError> {
         issue.holder.check()?;
         let until = until::after_days(issue.days);
@@ -130,7 +132,7 @@ impl Authority {
         Ok(Identity::new(certificate.pem(), key.serialize_pem(), self.certificate.clone(), issue.holder.clone()))
     }
 
-    /// All that it has issued, oldest first.
+    /// Returns the records of all issued certificates, oldest first.
     pub fn issued(&self) -> Result<Vec<Issued>, TrustError> {
         let path = self.folder.join("issued.jsonl");
         let text = match std::fs::read_to_string(&path) {
@@ -142,7 +144,8 @@ impl Authority {
         text.lines().map(parse).collect()
     }
 
-    /// A new token for so many days, its line noted in the folder before it is returned. A coordinator cannot have one.
+    /// Issues a new token that is valid for `days` days. Its line is recorded in the folder before this returns. A coordinator
+    /// cannot have a token.
     pub fn token(&self, holder: Holder, days: u32) -> Result<Pass, TrustError> {
         holder.check()?;
         if let Holder::Coordinator { .. } = holder {
@@ -154,7 +157,7 @@ impl Authority {
         Ok(Pass::new(token, self.certificate.clone()))
     }
 
-    /// The lines of all tokens that were not revoked, oldest first.
+    /// Returns the lines of all tokens that are not revoked, oldest first.
     pub fn token_lines(&self) -> Result<Vec<TokenLine>, TrustError> {
         let path = self.tokens();
         match std::fs::read_to_string(&path) {
@@ -164,7 +167,7 @@ impl Authority {
         }
     }
 
-    /// From now on nothing counts that was issued to `name`; returns how many certificates and tokens that are.
+    /// Revokes all certificates and tokens that were issued to `name`. Returns their number.
     pub fn revoke(&self, name: &str) -> Result<usize, TrustError> {
         let issued = self.issued()?;
         let of_name: Vec<&Issued> = issued.iter().filter(|issued| issued.name == name).collect();
@@ -182,7 +185,7 @@ impl Authority {
         Ok(of_name.len() + tokens.len())
     }
 
-    /// Puts a new list in the place of the old one, at once: a coordinator reads one or the other.
+    /// Replaces the list of tokens atomically: a coordinator reads either the old or the new list.
     fn keep_tokens(&self, lines: &[TokenLine]) -> Result<(), TrustError> {
         let (path, new) = (self.tokens(), self.folder.join("tokens.new"));
         let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
@@ -190,12 +193,12 @@ impl Authority {
         std::fs::rename(&new, &path).map_err(TrustError::file(path))
     }
 
-    /// The list of tokens for coordinators: [`crate::Tokens`].
+    /// Returns the path of the list of tokens that coordinators read: [`crate::Tokens`].
     pub fn tokens(&self) -> PathBuf {
         self.folder.join("tokens")
     }
 
-    /// The list for coordinators: [`crate::Revoked`].
+    /// Returns the path of the revocation list that coordinators read: [`crate::Revoked`].
     pub fn revoked(&self) -> PathBuf {
         self.folder.join("revoked")
     }

@@ -1,4 +1,4 @@
-//! The authority's certificate for browsers, which do not know it unless somebody imports it.
+//! Fingerprint of the authority's certificate as browsers show it. Browsers do not trust the certificate until a person imports it.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use rustls_pki_types::pem::PemObject as _;
 
 use crate::TrustError;
 
-/// The SHA-256 fingerprint of a certificate, as browsers and `openssl x509 -fingerprint -sha256` show it: `AB:CD:..`.
+/// Returns the SHA-256 fingerprint of a certificate, as browsers and `openssl x509 -fingerprint -sha256` show it: `AB:CD:..`.
 /// - `pem`: the certificate; sections after it are not read.
 pub fn browser_fingerprint(pem: &str) -> Result<String, TrustError> {
     let certificate = CertificateDer::from_pem_slice(pem.as_bytes());
@@ -28,7 +28,7 @@ mod tests {
 
     #[test]
     fn a_fingerprint_is_what_openssl_prints() {
-        // openssl x509 -noout -fingerprint -sha256
+        // Expected value: openssl x509 -noout -fingerprint -sha256
         let pem = include_str!("../tests/authority.pem");
         let due = include_str!("../tests/authority.sha256");
         assert_eq!(browser_fingerprint(pem).expect("a certificate"), due.trim());

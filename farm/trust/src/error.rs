@@ -1,9 +1,9 @@
 use std::path::PathBuf;
 
-/// Why an authority or an identity cannot be used.
+/// Error of an authority, an identity or a token.
 #[derive(Debug, thiserror::Error)]
 pub enum TrustError {
-    /// A file or folder.
+    /// A file or folder cannot be read or written.
     #[error("{}: {error}", path.display())]
     File {
         /// Path of the file or folder.
@@ -11,18 +11,18 @@ pub enum TrustError {
         /// Error of the operating system.
         error: std::io::Error,
     },
-    /// There is one already; it is left as it is.
+    /// The file exists already and is not changed.
     #[error("{} is there already, and is left as it is", path.display())]
     Exists {
         /// Path of the file or folder.
         path: PathBuf,
     },
-    /// The file is no identity or no authority.
+    /// The file has a wrong format.
     #[error("{}: {message}", path.display())]
     Malformed {
         /// Path of the file or folder.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Description of the problem.
         message: String,
     },
     /// Other users of this machine can read a private key or a token.
@@ -30,34 +30,34 @@ pub enum TrustError {
     Readable {
         /// Path of the file or folder.
         path: PathBuf,
-        /// Its permissions.
+        /// Permissions of the file.
         mode: u32,
     },
-    /// A name that would not do in a certificate.
+    /// The name cannot be used in a certificate.
     #[error("`{name}` is no name: 1 to 64 letters, digits, and . _ -")]
     Name {
-        /// Name that was given.
+        /// The given name.
         name: String,
     },
     /// Nothing was issued under this name.
     #[error("nothing was issued to `{name}`")]
     Unknown {
-        /// Name that was given.
+        /// The given name.
         name: String,
     },
-    /// Not by this farm's authority for this farm.
+    /// The certificate does not name a valid holder, or a token was requested for a coordinator.
     #[error("the certificate does not say whose it is: {message}")]
     Holder {
-        /// What is wrong with the certificate's names.
+        /// Description of the problem.
         message: String,
     },
-    /// The system has no randomness to give.
+    /// The system's random number generator fails.
     #[error("no randomness: {message}")]
     Random {
         /// Error of the operating system.
         message: String,
     },
-    /// Certificates cannot be made.
+    /// A certificate cannot be created.
     #[error("certificate: {0}")]
     Certificate(#[from] rcgen::Error),
 }

@@ -1,28 +1,28 @@
-//! Whom a certificate is for, and what roles may do.
+//! Holders of certificates, and the roles of users.
 
 use std::fmt;
 use std::str::FromStr;
 
 use crate::TrustError;
 
-/// What a user may do; each role may do all that those before it may.
+/// Permissions of a user; each role includes those of the roles before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
-    /// See jobs, workers, logs and images.
+    /// Permission to see jobs, workers, logs and images.
     Viewer,
-    /// Submit jobs, and steer those of its own.
+    /// Permission to submit jobs, and to control the user's own jobs.
     Submitter,
-    /// Steer every job, and drain workers.
+    /// Permission to control every job, and to drain workers.
     Operator,
-    /// Remove from the store what no job refers to.
+    /// Permission to remove artifacts from the store that no job refers to.
     Admin,
 }
 
 impl Role {
-    /// Least first.
+    /// All roles, the one with the fewest permissions first.
     pub const ALL: [Self; 4] = [Self::Viewer, Self::Submitter, Self::Operator, Self::Admin];
 
-    /// In lower case.
+    /// Returns the name of the role in lower case.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Viewer => "viewer",
@@ -48,7 +48,8 @@ impl FromStr for Role {
     }
 }
 
-/// Whom a certificate is for. As a URI: `femc://user/ann?role=operator`, `femc://worker/w1`, `femc://coordinator/farm`.
+/// Holder of a certificate or token. Its URIs are `femc://user/ann?role=operator`, `femc://worker/w1` and
+/// `femc://coordinator/farm`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Holder {
     /// A coordinator.
@@ -56,16 +57,16 @@ pub enum Holder {
         /// Name, for people to read.
         name: String,
     },
-    /// A worker, which takes part in rendering and may nothing else.
+    /// A worker, which may take part in rendering and do nothing else.
     Worker {
         /// Name, for people to read.
         name: String,
     },
-    /// A person, or a program of one.
+    /// A person, or a person's program.
     User {
-        /// Owner of the jobs that it submits.
+        /// Name, which becomes the owner of submitted jobs.
         name: String,
-        /// Role that limits the calls it may make.
+        /// Role that limits the allowed calls.
         role: Role,
     },
 }
@@ -73,14 +74,14 @@ pub enum Holder {
 impl Holder {
     const SCHEME: &str = "femc://";
 
-    /// Its name.
+    /// Returns the holder's name.
     pub fn name(&self) -> &str {
         match self {
             Self::Coordinator { name } | Self::Worker { name } | Self::User { name, .. } => name,
         }
     }
 
-    /// Refuses a name that would not do in a certificate and in a file's name.
+    /// Checks that the name can be used in a certificate and as a file name.
     pub(crate) fn check(&self) -> Result<(), TrustError> {
         let name = self.name();
         let is_good = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
@@ -88,7 +89,7 @@ impl Holder {
         if is_name { Ok(()) } else { Err(TrustError::Name { name: name.to_owned() }) }
     }
 
-    /// What a certificate says of it.
+    /// Returns the URI that the holder's certificate contains.
     pub fn uri(&self) -> String {
         let scheme = Self::SCHEME;
         match self {

@@ -1,4 +1,4 @@
-//! One file that says who somebody is.
+//! Identities: a certificate and its key in one file.
 
 use std::fmt;
 use std::io::Write as _;
@@ -9,7 +9,7 @@ use rustls_pki_types::{CertificateDer, PrivateKeyDer};
 
 use crate::{Holder, TrustError};
 
-/// A certificate, its private key, and the certificate of the authority that vouches for it: all PEM.
+/// A certificate, its private key, and the certificate of the authority that signed it, all in PEM.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Identity {
     certificate: String,
@@ -19,7 +19,7 @@ pub struct Identity {
 }
 
 impl fmt::Debug for Identity {
-    /// Without the key.
+    /// Formats the holder, without the key.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Identity({})", self.holder)
     }
@@ -30,34 +30,34 @@ impl Identity {
         Self { certificate, key, authority, holder }
     }
 
-    /// Whose it is.
+    /// Returns the holder.
     pub fn holder(&self) -> &Holder {
         &self.holder
     }
 
-    /// The certificate.
+    /// Returns the certificate.
     pub fn certificate(&self) -> &str {
         &self.certificate
     }
 
-    /// The private key.
+    /// Returns the private key.
     pub fn key(&self) -> &str {
         &self.key
     }
 
-    /// The authority's certificate.
+    /// Returns the authority's certificate.
     pub fn authority(&self) -> &str {
         &self.authority
     }
 
-    /// Reads a file that [`Identity::write`] wrote. Nobody but its owner may be able to read it.
+    /// Reads a file that [`Identity::write`] wrote. A file that other users can access is an error.
     pub fn read(path: &Path) -> Result<Self, TrustError> {
         let text = std::fs::read_to_string(path).map_err(TrustError::file(path))?;
         private(path)?;
         Self::parse(&text).map_err(|message| TrustError::Malformed { path: path.into(), message })
     }
 
-    /// From a file's text: the first certificate is its own, the second the authority's.
+    /// Parses a file's text: the first certificate is the identity's own, the second the authority's.
     pub fn parse(text: &str) -> Result<Self, String> {
         let begin = "-----BEGIN ";
         let sections: Vec<String> =
@@ -84,21 +84,21 @@ impl Identity {
         create(path, &[&self.certificate, &self.key, &self.authority].map(String::as_str).concat())
     }
 
-    /// Of its certificate.
+    /// Returns the fingerprint of its certificate.
     pub fn fingerprint(&self) -> Result<Fingerprint, TrustError> {
         let own = CertificateDer::from_pem_slice(self.certificate.as_bytes());
         own.map(|own| Fingerprint::of(&own)).map_err(|error| TrustError::Holder { message: error.to_string() })
     }
 }
 
-/// One PEM section, with its last line.
+/// Returns the PEM section at the start of `text`, including its last line.
 fn section(text: &str) -> Result<String, String> {
     let last = text.find("-----END ").ok_or("a PEM section without an end")?;
     let end = text[last..].find('\n').map_or(text.len(), |line| last + line + 1);
     Ok(text[..end].trim_end().to_owned() + "\n")
 }
 
-/// Whose a certificate is. Says nothing of who vouches for it.
+/// Returns the holder of a certificate. The signature is not verified.
 pub fn holder_of(certificate: &CertificateDer<'_>) -> Result<Holder, TrustError> {
     let strange = |message: String| TrustError::Holder { message };
     let parsed = webpki::EndEntityCert::try_from(certificate).map_err(|error| strange(error.to_string()))?;
@@ -109,12 +109,12 @@ pub fn holder_of(certificate: &CertificateDer<'_>) -> Result<Holder, TrustError>
     }
 }
 
-/// Names a certificate: the BLAKE3 digest of its DER.
+/// Fingerprint of a certificate: the BLAKE3 digest of its DER.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Fingerprint(blake3::Hash);
 
 impl Fingerprint {
-    /// Of this certificate.
+    /// Computes the fingerprint of this certificate.
     pub fn of(certificate: &CertificateDer<'_>) -> Self {
         Self(blake3::hash(certificate))
     }
@@ -136,7 +136,7 @@ impl fmt::Debug for Fingerprint {
     }
 }
 
-/// Writes a file that is not there yet, for its owner only.
+/// Writes a new file that only its owner can read. An existing file is an error.
 pub(crate) fn create(path: &Path, text: &str) -> Result<(), TrustError> {
     let mut options = std::fs::OpenOptions::new();
     options.write(true).create_new(true);
@@ -149,7 +149,7 @@ pub(crate) fn create(path: &Path, text: &str) -> Result<(), TrustError> {
     file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(TrustError::file(path))
 }
 
-/// Refuses a file that others than its owner can read.
+/// Checks that only the file's owner can access it.
 pub(crate) fn private(path: &Path) -> Result<(), TrustError> {
     #[cfg(unix)]
     {

@@ -1,9 +1,10 @@
-//! Who belongs to a farm: an authority of its own, the identities that it issues, and what each role may do.
+//! Authentication and authorization in a farm: its own certificate authority, the identities that it issues, and the permissions of
+//! each role.
 //!
-//! An [`Identity`] is one file: a certificate, its private key, and the authority's certificate, all PEM. Whose it is stands in
-//! the certificate as a URI ([`Holder`]); the farm asks no directory. Transport is TLS with certificates on both sides; an
-//! identity that got into wrong hands is revoked by its fingerprint. Who cannot have certificates comes with a [`Token`]. What
-//! is done to a farm, and what is refused, stands in its [`Audit`].
+//! An [`Identity`] is one file: a certificate, its private key, and the authority's certificate, all in PEM. The certificate
+//! contains the holder's name as a URI ([`Holder`]), so the farm needs no directory of users. Connections use TLS with certificates
+//! on both sides. A leaked identity is revoked by its fingerprint. Clients without a certificate use a [`Token`]. All actions on a
+//! farm, performed or refused, are recorded in its [`Audit`] log.
 #![deny(missing_docs)]
 
 mod audit;

@@ -1,4 +1,4 @@
-//! A file that is read again when it has changed.
+//! Files that are reread when they have changed.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -6,10 +6,10 @@ use std::time::SystemTime;
 
 use crate::TrustError;
 
-/// How the file's text becomes what it means.
+/// Parser of the file's text.
 type Parse<T> = fn(&Path, &str) -> Result<T, TrustError>;
 
-/// What a file said when it was last read; clones share it.
+/// A parsed file. Clones share the parsed content.
 #[derive(Debug, Clone)]
 pub(crate) struct Reread<T> {
     path: Arc<Path>,
@@ -19,20 +19,20 @@ pub(crate) struct Reread<T> {
 
 #[derive(Debug, Default)]
 struct State<T> {
-    /// When it was written, and its bytes; `None`: it was not there.
+    /// Modification time and size in bytes; `None`: the file did not exist.
     stamp: Option<(SystemTime, u64)>,
     said: T,
 }
 
 impl<T: Default> Reread<T> {
-    /// Reads the file. One that is not there says nothing; one that cannot be understood is an error.
+    /// Reads the file. A missing file counts as empty; a file that cannot be parsed is an error.
     pub(crate) fn open(path: PathBuf, parse: Parse<T>) -> Result<Self, TrustError> {
         let file = Self { path: path.into(), parse, state: Arc::default() };
         file.refresh()?;
         Ok(file)
     }
 
-    /// What it says now. Where it has become unreadable, what it said before holds.
+    /// Calls `look` with the current content. If the file cannot be read any more, its last valid content stays in force.
     pub(crate) fn look<R>(&self, look: impl FnOnce(&T) -> R) -> R {
         if let Err(error) = self.refresh() {
             tracing::warn!(%error, "what the file said before holds");
@@ -61,7 +61,7 @@ impl<T: Default> Reread<T> {
     }
 }
 
-/// The lines of a list, with their numbers from 1; empty ones and those that begin with `#` are for people.
+/// Returns the lines of a list with their numbers, from 1. Empty lines and comments, which begin with `#`, are skipped.
 pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let lines = text.lines().enumerate().map(|(at, line)| (at + 1, line.trim()));
     lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))

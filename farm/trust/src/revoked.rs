@@ -1,4 +1,4 @@
-//! Certificates that count no more, although the authority once vouched for them.
+//! List of revoked certificates.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -6,18 +6,18 @@ use std::path::{Path, PathBuf};
 use crate::reread::{Reread, lines};
 use crate::{Fingerprint, TrustError};
 
-/// A file of fingerprints, one a line; what follows one on its line is for people. It is read again when it has changed.
+/// A file of fingerprints, one per line; the rest of a line is a comment. The file is reread when it has changed.
 #[derive(Debug, Clone)]
 pub struct Revoked(Reread<HashSet<Fingerprint>>);
 
 impl Revoked {
-    /// Reads the file. One that is not there revokes nothing; one that cannot be understood is an error.
+    /// Reads the file. A missing file revokes nothing; a file that cannot be parsed is an error.
     pub fn open(path: impl Into<PathBuf>) -> Result<Self, TrustError> {
         Reread::open(path.into(), read).map(Self)
     }
 
-    /// Whether this certificate counts no more. Looks at the file's time first; where the file has become unreadable, what it
-    /// said before holds.
+    /// Checks whether this certificate is revoked. Rereads the file first if its modification time or size has changed. If the file
+    /// cannot be read any more, its last valid content stays in force.
     pub fn holds(&self, fingerprint: &Fingerprint) -> bool {
         self.0.look(|fingerprints| fingerprints.contains(fingerprint))
     }

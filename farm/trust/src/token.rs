@@ -1,8 +1,8 @@
-//! Bearer tokens: whoever shows one is taken for whom it was made for.
+//! Bearer tokens: a client that presents a token is treated as its holder.
 //!
-//! A token is a secret of 256 random bits. The farm keeps its BLAKE3 digest and never the token; of a secret that long a plain
-//! digest gives nothing away. Whoever copies a token can use it again, from anywhere: it is therefore sent only where nobody
-//! listens (encrypted, or within the machine), and it counts until its date or until its line is removed, whichever is first.
+//! A token is a secret of 256 random bits. The farm stores its BLAKE3 digest and never the token. A secret of this length cannot be
+//! guessed from its plain digest. A copied token can be used from anywhere; therefore it is sent only over encrypted connections or
+//! within the machine. It is valid until its date or until its line is removed, whichever is first.
 
 use std::fmt;
 use std::path::Path;
@@ -13,50 +13,50 @@ use rustls_pki_types::pem::PemObject as _;
 use crate::TrustError;
 use crate::identity::{create, private};
 
-/// The secret.
+/// A token: the secret itself.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Token([u8; 32]);
 
 impl Token {
-    /// By which people and scanners of leaked secrets know one.
+    /// Prefix by which people and scanners for leaked secrets recognize a token.
     const PREFIX: &str = "femc_";
 
-    /// A new one, from the system's source of randomness.
+    /// Creates a new token with the system's random number generator.
     pub fn random() -> Result<Self, TrustError> {
         let mut secret = [0; 32];
         getrandom::fill(&mut secret).map_err(|error| TrustError::Random { message: error.to_string() })?;
         Ok(Self(secret))
     }
 
-    /// From its text: all of it and nothing else.
+    /// Parses a token; text before or after it is not accepted.
     pub fn parse(text: &str) -> Option<Self> {
         let digits = text.strip_prefix(Self::PREFIX)?;
-        // Upper case would be a second text of the same token.
+        // Upper case would be a second text for the same token.
         if digits.bytes().any(|byte| byte.is_ascii_uppercase()) {
             return None;
         }
         blake3::Hash::from_hex(digits).ok().map(|bytes| Self(bytes.into()))
     }
 
-    /// Its text, which is the secret.
+    /// Returns the token's text, which is secret.
     pub fn secret(&self) -> String {
         format!("{}{}", Self::PREFIX, blake3::Hash::from(self.0).to_hex())
     }
 
-    /// By which the farm knows it.
+    /// Returns the digest by which the farm identifies the token.
     pub fn digest(&self) -> TokenDigest {
         TokenDigest(blake3::hash(&self.0))
     }
 }
 
 impl fmt::Debug for Token {
-    /// Without the secret.
+    /// Formats the digest, without the secret.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Token({})", self.digest())
     }
 }
 
-/// The BLAKE3 digest of a token. Comparing two takes the same time, whatever they are.
+/// The BLAKE3 digest of a token. Digests are compared in constant time.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct TokenDigest(blake3::Hash);
 
@@ -78,7 +78,7 @@ impl fmt::Debug for TokenDigest {
     }
 }
 
-/// A token as its owner has it: one file, with the certificate of the authority by which coordinators are known.
+/// A token as its owner keeps it: one file, with the authority's certificate that verifies coordinators.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pass {
     token: Token,
@@ -90,24 +90,24 @@ impl Pass {
         Self { token, authority: Some(authority) }
     }
 
-    /// The token.
+    /// Returns the token.
     pub fn token(&self) -> &Token {
         &self.token
     }
 
-    /// The authority's certificate, PEM; without it the token is of use only on this machine.
+    /// Returns the authority's certificate in PEM. Without it, the token can be used only on this machine.
     pub fn authority(&self) -> Option<&str> {
         self.authority.as_deref()
     }
 
-    /// Reads a file that [`Pass::write`] wrote, or one with nothing but a token. Nobody but its owner may be able to read it.
+    /// Reads a file that [`Pass::write`] wrote, or one that contains only a token. A file that other users can access is an error.
     pub fn read(path: &Path) -> Result<Self, TrustError> {
         let text = std::fs::read_to_string(path).map_err(TrustError::file(path))?;
         private(path)?;
         Self::parse(&text).map_err(|message| TrustError::Malformed { path: path.into(), message })
     }
 
-    /// From a file's text: a line with the token, then at most one certificate.
+    /// Parses a file's text: a line with the token, then at most one certificate.
     pub fn parse(text: &str) -> Result<Self, String> {
         let text = text.trim();
         let (first, rest) = text.split_once('\n').unwrap_or((text, ""));

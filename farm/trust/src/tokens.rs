@@ -1,4 +1,4 @@
-//! Who may come with a token.
+//! The list of valid tokens.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -9,45 +9,45 @@ use crate::reread::{Reread, lines};
 use crate::until;
 use crate::{Holder, Token, TokenDigest, TrustError};
 
-/// A file of tokens' digests, one a line: `NAME ROLE DIGEST`, and after it, if it is to end, when: `2027-02-19`, or
-/// `2027-02-19T10:00:00Z`. The role is a user's, or `worker`. It is read again when it has changed: who is not in it any more is
-/// let in no more.
+/// A file of token digests, one per line: `NAME ROLE DIGEST`, followed by an optional expiration time: `2027-02-19`, or
+/// `2027-02-19T10:00:00Z`. The role is a user's role, or `worker`. The file is reread when it has changed; removing a line revokes
+/// its token.
 #[derive(Debug, Clone)]
 pub struct Tokens(Reread<Vec<TokenLine>>);
 
-/// Why a token does not count.
+/// Reason for refusing a token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum BadToken {
-    /// Nothing that looks like one.
+    /// The text does not have the form of a token.
     #[error("this is no token of femc: it is cut short, or something else")]
     Malformed,
-    /// Not in the file, or not any more.
+    /// The token is not in the file, or no longer.
     #[error("this farm does not know the token, or not any more")]
     Unknown,
-    /// Its date is over.
+    /// The token has expired.
     #[error("the token has expired")]
     Expired,
 }
 
 impl Tokens {
-    /// Reads the file; it must be there, and all of it must make sense. Of what is written to it later, lines that do not are left
-    /// out: nobody stays because of somebody else's slip of the pen.
+    /// Reads the file, which must exist and be valid as a whole. When the file changes later, invalid lines are skipped: a typing
+    /// error in one line must not keep a removed token valid.
     pub fn open(path: impl Into<PathBuf>) -> Result<Self, TrustError> {
         let path = path.into();
         parse(&path, &std::fs::read_to_string(&path).map_err(TrustError::file(&path))?)?;
         Reread::open(path, sensible).map(Self)
     }
 
-    /// Whose the token is.
+    /// Returns the holder and the digest of the token.
     pub fn holder(&self, token: &str) -> Result<(Holder, TokenDigest), BadToken> {
         let digest = Token::parse(token).ok_or(BadToken::Malformed)?.digest();
         self.holder_of(&digest).map(|holder| (holder, digest))
     }
 
-    /// Whose the token of this digest is, now.
+    /// Returns the present holder of the token with this digest.
     pub fn holder_of(&self, digest: &TokenDigest) -> Result<Holder, BadToken> {
         self.0.look(|lines| {
-            // All are compared: how long it takes says nothing of which it is.
+            // All lines are compared, so that the time does not reveal which line matches.
             let found = lines.iter().fold(None, |found, line| if line.digest == *digest { Some(line) } else { found });
             let line = found.ok_or(BadToken::Unknown)?;
             if line.has_expired() { Err(BadToken::Expired) } else { Ok(line.holder.clone()) }
@@ -60,30 +60,30 @@ impl Tokens {
 pub struct TokenLine {
     /// Holder of the token.
     pub holder: Holder,
-    /// Digest by which the token is known.
+    /// Digest of the token.
     pub digest: TokenDigest,
-    /// From when on it counts no more.
+    /// Time at which the token expires; `None`: never.
     pub(crate) until: Option<OffsetDateTime>,
 }
 
 impl TokenLine {
-    /// Whether its time is over.
+    /// Checks whether the token has expired.
     pub fn has_expired(&self) -> bool {
         self.until.is_some_and(|until| OffsetDateTime::now_utc() >= until)
     }
 
-    /// The same in seconds since 1970.
+    /// Returns the expiration time in seconds since 1970.
     pub fn until_seconds(&self) -> Option<i64> {
         self.until.map(OffsetDateTime::unix_timestamp)
     }
 
-    /// Days that it still counts; negative: it counted until then.
+    /// Returns the remaining validity in days; negative after its end.
     pub fn days_left(&self) -> Option<i64> {
         let left = |until: i64| (until - OffsetDateTime::now_utc().unix_timestamp()).div_euclid(86_400);
         self.until_seconds().map(left)
     }
 
-    /// From a line without what surrounds it.
+    /// Parses a line of the file.
     pub fn parse(line: &str) -> Option<Self> {
         let mut words = line.split_whitespace();
         let (name, role, digest) = (words.next()?.to_owned(), words.next()?, words.next()?);
@@ -112,12 +112,12 @@ impl fmt::Display for TokenLine {
     }
 }
 
-/// All lines of a file.
+/// Parses all lines of a file; an invalid line is an error.
 pub(crate) fn parse(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustError> {
     each(path, text).collect()
 }
 
-/// Those of its lines that make sense.
+/// Parses a file and skips invalid lines with a warning.
 fn sensible(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustError> {
     let warn = |error: &TrustError| tracing::warn!(%error, "the line is left out");
     Ok(each(path, text).filter_map(|line| line.inspect_err(warn).ok()).collect())

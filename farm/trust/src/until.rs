@@ -1,8 +1,8 @@
-//! When something counts no more, as people write it.
+//! Expiration times as text.
 
 use time::{Date, Duration, Month, OffsetDateTime, PrimitiveDateTime, Time};
 
-/// A moment in whole seconds, UTC: `2027-02-19T10:00:00Z`, or `2027-02-19`, which is its first second.
+/// Parses a time in whole seconds, UTC: `2027-02-19T10:00:00Z`, or `2027-02-19`, which means the first second of that day.
 pub(crate) fn parse(text: &str) -> Option<OffsetDateTime> {
     let (date, time) = text.split_once('T').map_or((text, None), |(date, time)| (date, Some(time)));
     let [year, month, day] = numbers(date, '-', [4, 2, 2])?;
@@ -18,7 +18,7 @@ pub(crate) fn parse(text: &str) -> Option<OffsetDateTime> {
     Some(PrimitiveDateTime::new(date, time).assume_utc())
 }
 
-/// Three numbers of just so many digits.
+/// Parses three numbers separated by `between`, with exactly these numbers of digits.
 fn numbers(text: &str, between: char, digits: [usize; 3]) -> Option<[u32; 3]> {
     let mut parts = text.split(between);
     let mut number = |digits| {
@@ -29,7 +29,7 @@ fn numbers(text: &str, between: char, digits: [usize; 3]) -> Option<[u32; 3]> {
     parts.next().is_none().then_some(numbers)
 }
 
-/// The same as text.
+/// Formats a time as [`parse`] reads it.
 pub(crate) fn text(moment: OffsetDateTime) -> String {
     let (date, time) = (moment.date(), moment.time());
     let (hour, minute, second) = time.as_hms();
@@ -37,7 +37,7 @@ pub(crate) fn text(moment: OffsetDateTime) -> String {
     format!("{:04}-{month:02}-{:02}T{hour:02}:{minute:02}:{second:02}Z", date.year(), date.day())
 }
 
-/// So many days from now.
+/// Returns the time `days` days from now.
 pub(crate) fn after_days(days: u32) -> OffsetDateTime {
     OffsetDateTime::now_utc() + Duration::days(i64::from(days))
 }

@@ -1,4 +1,4 @@
-//! An authority's folder, and what comes out of it.
+//! Tests of an authority's folder and of the identities that it issues.
 
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 

@@ -1,36 +1,36 @@
-//! How much a log must hold, in a small file beside it.
+//! The mark: a small file beside the SQLite log that states how much the log must contain.
 //!
-//! SQLite takes the first damaged frame of its write-ahead log for the end of it: one bit, and all that was acknowledged
-//! after it is gone without a word. So the number of the last durable record is kept elsewhere, too, with the highest
-//! incarnation: written after a commit and before anybody hears of it. It is handed to the system, not to the disk, which
-//! costs a few microseconds: a killed process loses nothing of it. Of a power cut it may be a second old; then it asks for
-//! less than there is, never for more.
+//! SQLite treats the first damaged frame of its write-ahead log as the log's end. One flipped bit would silently lose all
+//! acknowledged records after it. So the number of the last durable record and the highest incarnation are also kept in the mark.
+//! It is written after a commit and before the commit is acknowledged. It is handed to the operating system and not synced, which
+//! costs a few microseconds: a killed process loses nothing of it. After a power cut it may be a second old; then it requires fewer
+//! records than exist, never more.
 //!
-//! Two slots are written in turn, so that one that is torn leaves the other.
+//! Two slots are written in turn, so that a torn write of one leaves the other intact.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Whose log, as it says in its header.
+/// Identity of a log, as stored in its header.
 pub(super) type Identity = [u8; 16];
 
-/// What a mark says.
+/// Content of a mark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Known {
     pub(super) identity: Identity,
-    /// Number of a record that is durable, like all before it.
+    /// Number of the last record known to be durable; all records before it are durable, too.
     pub(super) sequence: i64,
-    /// The highest that was reserved.
+    /// The highest reserved incarnation.
     pub(super) incarnation: u32,
 }
 
-/// What lies in a mark's place.
+/// Result of reading a mark's file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Found {
     Nothing,
-    /// Neither slot makes sense, which no crash leaves behind.
+    /// Neither slot is valid. A crash cannot cause this.
     Damaged,
     Mark(Known),
 }
@@ -41,19 +41,19 @@ pub(super) struct Mark {
     file: File,
     path: PathBuf,
     known: Known,
-    /// Of the latest slot.
+    /// Number of the latest write; its parity selects the slot.
     turn: u64,
     synced: Instant,
-    /// Whether the system took the latest.
+    /// Whether the latest write succeeded.
     is_written: bool,
 }
 
 const MAGIC: &[u8; 8] = b"femcmark";
 const VERSION: u32 = 1;
-/// Bytes of a slot's content, and of its checksum.
+/// Sizes in bytes of a slot's content and of its checksum.
 const BODY: usize = 48;
 const SUM: usize = 16;
-/// Each slot is in a block of its own.
+/// Size in bytes of a block; each slot has its own block.
 const BLOCK: usize = 4096;
 
 fn encode(known: &Known, turn: u64) -> [u8; BODY + SUM] {
@@ -85,16 +85,16 @@ fn decode(slot: &[u8]) -> Option<(u64, Known)> {
     Some((u64::from_le_bytes(body[..8].try_into().ok()?), known))
 }
 
-/// What the later of the sound slots says, and its turn.
+/// Returns the number and the content of the later valid slot.
 fn latest(bytes: &[u8]) -> Option<(u64, Known)> {
     [bytes, bytes.get(BLOCK..).unwrap_or_default()].into_iter().filter_map(decode).max_by_key(|(turn, _)| *turn)
 }
 
 impl Mark {
-    /// Between two writings to the disk.
+    /// Minimum time between two syncs to the disk.
     const SYNC: Duration = Duration::from_secs(1);
 
-    /// What lies at `path`.
+    /// Reads the mark at `path`.
     pub(super) fn look(path: &Path) -> io::Result<Found> {
         let mut bytes = Vec::new();
         match File::open(path) {
@@ -105,7 +105,7 @@ impl Mark {
         Ok(latest(&bytes).map_or(Found::Damaged, |(_, known)| Found::Mark(known)))
     }
 
-    /// Puts a mark in place of whatever lies at `path`; it is on the disk when this returns.
+    /// Creates a mark at `path` and replaces an existing file. It is on the disk when this returns.
     pub(super) fn put(path: &Path, known: Known) -> io::Result<Self> {
         let mut new = path.to_owned().into_os_string();
         new.push(".new");
@@ -122,7 +122,7 @@ impl Mark {
             folder(path)?.sync_all()
         })();
         if let Err(error) = put {
-            // There was nothing before it was made.
+            // The file may not exist: its creation may have failed.
             let _ = fs::remove_file(&new);
             return Err(error);
         }
@@ -133,14 +133,14 @@ impl Mark {
         &self.known
     }
 
-    /// The records up to this one are durable.
+    /// Notes that the records up to `sequence` are durable.
     pub(super) fn note(&mut self, sequence: i64) {
         self.known.sequence = sequence;
         self.written();
         if self.synced.elapsed() >= Self::SYNC {
             self.synced = Instant::now();
             let (file, path) = (self.file.try_clone(), self.path.clone());
-            // Whoever writes the log does not wait for it.
+            // The log's writer does not wait for the sync.
             tokio::task::spawn_blocking(move || {
                 if let Err(error) = file.and_then(|file| file.sync_data()) {
                     tracing::warn!(path = %path.display(), %error, "the log's mark does not reach the disk");
@@ -149,7 +149,7 @@ impl Mark {
         }
     }
 
-    /// Writes the next slot. A mark that stays behind asks for too little: no reason to stop.
+    /// Writes the next slot. A failure is only logged: an outdated mark merely requires fewer records than exist.
     fn written(&mut self) {
         let written = self.write();
         if let (Err(error), true) = (&written, self.is_written) {
@@ -165,21 +165,21 @@ impl Mark {
         self.file.write_all(&encode(&self.known, self.turn))
     }
 
-    /// Nobody is given an incarnation up to this one again: it is on the disk when this returns.
+    /// Reserves the incarnations up to this one, so that none of them is assigned again. The mark is on the disk when this returns.
     pub(super) fn reserve(&mut self, incarnation: u32) -> io::Result<()> {
         self.known.incarnation = incarnation;
         self.write()?;
         self.sync()
     }
 
-    /// Brings it to the disk.
+    /// Syncs the mark to the disk.
     pub(super) fn sync(&mut self) -> io::Result<()> {
         self.synced = Instant::now();
         self.file.sync_data()
     }
 }
 
-/// The folder that a file is in.
+/// Opens the folder that contains `path`.
 fn folder(path: &Path) -> io::Result<File> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     File::open(folder.unwrap_or(Path::new(".")))

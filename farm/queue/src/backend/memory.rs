@@ -5,21 +5,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::{Batch, Contents, Note, Page, Queue, QueueError};
 
-/// A log that lives as long as one of its clones.
+/// A log that lives until its last clone is dropped.
 #[derive(Debug, Clone, Default)]
 pub struct Memory(Arc<Mutex<Kept>>);
 
 #[derive(Debug, Default)]
 struct Kept {
     contents: Contents,
-    /// By their numbers, ascending.
+    /// Notes with their numbers, ascending.
     notes: Vec<(u64, Note)>,
     numbers: u64,
 }
 
 impl Memory {
     fn with<T>(&self, act: impl FnOnce(&mut Kept) -> T) -> T {
-        // A poisoned lock still holds whole batches: nothing below stops half way.
+        // A poisoned lock still holds whole batches: no operation below stops halfway.
         act(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }

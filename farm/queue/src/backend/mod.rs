@@ -1,4 +1,4 @@
-//! Where a log may live.
+//! Backends of the log.
 
 mod mark;
 pub(crate) mod memory;

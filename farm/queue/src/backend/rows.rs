@@ -1,8 +1,8 @@
-//! Records with a number and a checksum, as the databases keep them.
+//! Numbered records with checksums, as the databases store them.
 
 use crate::{Contents, Page, QueueError};
 
-/// A row as it was read.
+/// A row as read from the database.
 pub(super) struct Row {
     pub(super) sequence: i64,
     pub(super) sum: Vec<u8>,
@@ -14,13 +14,13 @@ impl Row {
         self.is_blank() || self.sum == checksum(self.sequence, &self.bytes)
     }
 
-    /// Whether it stands for a batch without records.
+    /// Checks whether the row represents a batch without records.
     fn is_blank(&self) -> bool {
         self.bytes.is_empty() && self.sum == blank(self.sequence)
     }
 }
 
-/// The notes in these rows, of which there is one more than a page holds if another page follows.
+/// Returns the page of notes in these rows. If another page follows, there is one row more than a page holds.
 pub(super) fn page(rows: Vec<Row>) -> Page {
     Page::of(rows.into_iter().map(|row| {
         let is_sound = row.sum == note_checksum(&row.bytes);
@@ -31,37 +31,37 @@ pub(super) fn page(rows: Vec<Row>) -> Page {
     }))
 }
 
-/// Of a note's content.
+/// Computes the checksum of a note's content.
 pub(super) fn note_checksum(bytes: &[u8]) -> Vec<u8> {
     blake3::hash(bytes).as_bytes()[..16].to_vec()
 }
 
-/// Of the record's place and content, so that a record that strayed is found too.
+/// Computes the checksum of a record's number and content. With the number, a misplaced record is detected, too.
 pub(super) fn checksum(sequence: i64, bytes: &[u8]) -> Vec<u8> {
     let mut hash = blake3::Hasher::new();
     hash.update(&sequence.to_le_bytes()).update(bytes);
     hash.finalize().as_bytes()[..16].to_vec()
 }
 
-/// Of a row without a record, which has a number so that its loss shows.
+/// Computes the checksum of a row without a record. The row has a number so that its loss is detected.
 pub(super) fn blank(sequence: i64) -> Vec<u8> {
     let mut hash = blake3::Hasher::new();
     hash.update(b"no record").update(&sequence.to_le_bytes());
     hash.finalize().as_bytes()[..16].to_vec()
 }
 
-/// What the rows of a log hold, as far as they are sound.
+/// The sound content of a log's rows.
 pub(super) struct LogRows {
-    /// Up to the first that is damaged or gone.
+    /// Content up to the first damaged or missing row.
     pub(super) contents: Contents,
-    /// The number of the last sound one.
+    /// Number of the last sound row.
     pub(super) last: i64,
-    /// Which is damaged or gone.
+    /// Error for the first damaged or missing row.
     pub(super) damage: Option<QueueError>,
 }
 
-/// What the rows say up to the first that is damaged or gone. A database keeps a transaction whole or not at all: damage is
-/// never the trace of a write that was cut.
+/// Verifies the rows up to the first damaged or missing one. A database stores a transaction either whole or not at all, so damage
+/// is never the result of an interrupted write.
 pub(super) fn check_rows(snapshot: Option<Row>, rows: impl IntoIterator<Item = Row>) -> Result<LogRows, QueueError> {
     let mut contents = Contents::default();
     let mut last = 0;

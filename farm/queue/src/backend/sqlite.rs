@@ -1,9 +1,9 @@
-//! A log in one SQLite file: WAL mode, every commit synced, one transaction a batch.
+//! A log in one SQLite file: WAL mode, every commit synced, one transaction per batch.
 //!
-//! SQLite restores whole transactions after a crash by itself. The checksum of each record finds pages that the disk has
-//! changed, and the mark beside the log ([`super::mark`]) those that SQLite leaves out because they are damaged: then the
-//! log is not opened. A log that was closed carries in its own header what the mark says, and can be moved without it. The
-//! file is locked, so that a second coordinator finds out at once.
+//! After a crash, SQLite itself restores whole transactions. The checksum of each record detects pages that the disk has changed.
+//! The mark beside the log ([`super::mark`]) detects missing pages: those that SQLite ignores because they are damaged. In both
+//! cases the log is not opened. A closed log contains the information of the mark in its own header and can be moved without the
+//! mark. The file is locked, so that a second coordinator fails immediately.
 
 use std::fs::{self, File};
 use std::io::{self, Write as _};
@@ -20,27 +20,27 @@ use super::mark::{Found, Identity, Known, Mark};
 use super::rows::{LogRows, Row, blank, check_rows, checksum, note_checksum, page};
 use crate::{Batch, Contents, Loss, Lost, Page, Queue, QueueError, no_room};
 
-/// A log in a file.
+/// A log in an SQLite file.
 #[derive(Debug)]
 pub struct Sqlite {
     connection: SqliteConnection,
     path: PathBuf,
     loss: Loss,
-    /// As it was read; `None`: damaged.
+    /// Header as read from the file; `None`: damaged.
     header: Option<Header>,
-    /// From when it is loaded on.
+    /// The mark, once the log is loaded.
     mark: Option<Mark>,
-    /// Whether it may be a copy, or has lost its mark: somebody may have had incarnations of which it does not know.
+    /// Whether the log may be a copy, or has lost its mark. Then incarnations may have been assigned that it does not contain.
     is_moved: bool,
-    /// Number of the next record; they have no gaps.
+    /// Number of the next record; the numbers have no gaps.
     next: i64,
 }
 
-/// What the file says of itself.
+/// Header of the file.
 #[derive(Debug, Clone, Copy)]
 struct Header {
     identity: Identity,
-    /// The number of the last record, if it was closed or is a copy: then it needs no mark.
+    /// Number of the last record if the log was closed or is a copy. Such a log needs no mark.
     sealed: Option<i64>,
 }
 
@@ -59,18 +59,20 @@ impl Header {
     }
 }
 
-/// What must be in the file.
+/// Minimum content that the file must have.
 struct Floor {
-    /// The records up to this one.
+    /// Number of the last record that must exist.
     sequence: i64,
-    /// The highest incarnation that is known to have been reserved.
+    /// Highest incarnation that is known to be reserved.
     incarnation: u32,
-    /// What is not there, or cannot be known to be.
+    /// Error if content is missing, or if that cannot be determined.
     lack: Option<QueueError>,
 }
 
-/// A note's `sequence` is that of the first record of its batch, or of the last before: a tail that is cut takes along the notes
-/// of batches of which nothing is left.
+/// Statements that create the tables.
+///
+/// A note's `sequence` is the number of the first record of its batch, or of the last record before the batch if it has no records.
+/// When the tail of the log is cut off, this removes the notes of batches that are removed completely.
 const TABLES: &str = "
     CREATE TABLE log (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, record BLOB NOT NULL) STRICT;
     CREATE TABLE snapshot (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, state BLOB NOT NULL) STRICT;
@@ -81,12 +83,12 @@ const TABLES: &str = "
     PRAGMA user_version = 2;
 ";
 
-/// The first number of a subject is 1.
+/// Inserts a note. The first number of a subject is 1.
 const NOTE: &str = "
     INSERT INTO notes (subject, number, sequence, checksum, note)
     VALUES (?1, 1 + (SELECT ifnull(max(number), 0) FROM notes WHERE subject = ?1), ?2, ?3, ?4)";
 
-/// Statements that insert so many rows, the longest first.
+/// Numbers of rows, descending, with a statement that inserts this number of rows.
 static INSERTS: LazyLock<[(usize, String); 3]> = LazyLock::new(|| {
     [64, 8, 1].map(|rows| {
         let places = vec!["(?, ?, ?)"; rows].join(", ");
@@ -95,17 +97,18 @@ static INSERTS: LazyLock<[(usize, String); 3]> = LazyLock::new(|| {
 });
 
 impl Sqlite {
-    /// `PRAGMA application_id`: the letters of femc.
+    /// `PRAGMA application_id`: the letters `femc`.
     pub const APPLICATION: i64 = 0x6665_6d63;
-    /// `PRAGMA user_version`: of the tables, not of the records.
+    /// `PRAGMA user_version`: the version of the tables, not of the records.
     pub const VERSION: i64 = 2;
 
-    /// Opens the log at `path`, or makes it; one that has lost what was acknowledged is refused.
+    /// Opens the log at `path`, or creates it. A log that has lost acknowledged records fails to load.
     pub async fn open(path: &Path) -> Result<Self, QueueError> {
         Self::open_with(path, Loss::Refused).await
     }
 
-    /// The same, also where something that was acknowledged is lost.
+    /// Opens the log at `path`, or creates it.
+    /// - `loss`: policy for a log that has lost acknowledged records.
     pub async fn open_with(path: &Path, loss: Loss) -> Result<Self, QueueError> {
         let options = options(path)
             .create_if_missing(true)
@@ -115,7 +118,7 @@ impl Sqlite {
         let in_use =
             |error| if is_busy(&error) { QueueError::InUse { path: path.display().to_string() } } else { error.into() };
         let mut connection = options.connect().await.map_err(in_use)?;
-        // Takes the lock now, not at the first write.
+        // Take the lock now, not at the first write.
         sqlx::raw_sql("BEGIN EXCLUSIVE; COMMIT;").execute(&mut connection).await.map_err(in_use)?;
         let application = number(&mut connection, "PRAGMA application_id").await?;
         let version = number(&mut connection, "PRAGMA user_version").await?;
@@ -130,14 +133,14 @@ impl Sqlite {
         Ok(Self { connection, path: path.to_owned(), loss, header, mark: None, is_moved: false, next: 1 })
     }
 
-    /// A file beside the log's.
+    /// Returns the path of a file beside the log: the log's path followed by `end`.
     fn beside(&self, end: &str) -> PathBuf {
         let mut name = self.path.clone().into_os_string();
         name.push(end);
         PathBuf::from(name)
     }
 
-    /// What must be there. Changes nothing but `is_moved`.
+    /// Determines the minimum content of the file. Changes nothing but `is_moved`.
     fn floor(&mut self) -> Result<Floor, QueueError> {
         let (path, mark) = (self.path.display().to_string(), self.beside("-mark"));
         let found = Mark::look(&mark)?;
@@ -154,11 +157,11 @@ impl Sqlite {
         };
         Ok(match (found, sealed) {
             (Found::Mark(known), _) if known.identity == identity => at(known.sequence.max(sealed.unwrap_or(0))),
-            // The file that the mark is about is gone, and this one was made just now.
+            // The log of the mark is gone, and this one has just been created.
             (Found::Mark(Known { sequence: known @ 1.., .. }), Some(0)) => {
                 lacks(QueueError::Lost { path: path.clone(), kept: 0, known })
             }
-            // It was put in the place of that one: a copy for instance.
+            // Another log replaces the log of the mark: for instance a copy.
             (Found::Mark(_) | Found::Nothing | Found::Damaged, Some(sealed)) => {
                 self.is_moved = sealed > 0;
                 at(sealed)
@@ -169,7 +172,7 @@ impl Sqlite {
         })
     }
 
-    /// What there is, as far as it is sound, and what else there must be. Changes nothing in the file.
+    /// Reads the sound content of the log, and determines what it must contain. Changes nothing in the file.
     async fn read(&mut self) -> Result<(LogRows, Floor), QueueError> {
         let newest = "SELECT sequence, checksum, state FROM snapshot ORDER BY sequence DESC LIMIT 1";
         let snapshot = sqlx::query(newest).fetch_optional(&mut self.connection).await?;
@@ -189,7 +192,7 @@ impl Sqlite {
         Ok((checked, floor))
     }
 
-    /// Puts aside what SQLite has written ahead and does not read: closing the log takes it away.
+    /// Copies the write-ahead log, of which SQLite ignores the damaged part: closing the log would delete it.
     fn keep_evidence(&self) {
         let (ahead, aside) = (self.beside("-wal"), self.beside("-wal-lost"));
         if fs::metadata(&ahead).is_ok_and(|file| file.len() > 0) {
@@ -200,7 +203,7 @@ impl Sqlite {
         }
     }
 
-    /// From now on the mark says how much there is.
+    /// Creates or updates the mark, which states from now on how much the log must contain.
     async fn begin(&mut self, last: i64, incarnation: u32) -> Result<(), QueueError> {
         let identity = match self.header {
             Some(Header { identity, .. }) => identity,
@@ -214,7 +217,7 @@ impl Sqlite {
         let header = Header { identity, sealed: None };
         if self.header.is_none_or(|header| header.sealed.is_some()) {
             self.seal(header).await?;
-            // The file itself knows: where it is copied without what lies beside it, that shows.
+            // Write the unsealed header into the main file: a copy of this file without the mark is then detected.
             let checkpoint = sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut self.connection).await;
             checkpoint.map_err(|error| no_room_or(error, &self.path))?;
         }
@@ -234,7 +237,7 @@ impl Sqlite {
         begun.map(drop).map_err(|error| no_room_or(error, &self.path))
     }
 
-    /// So many numbers more are durable.
+    /// Records that `numbers` more numbers are durable.
     fn went_on(&mut self, numbers: usize) {
         self.next += numbers as i64;
         if let Some(mark) = &mut self.mark {
@@ -242,14 +245,14 @@ impl Sqlite {
         }
     }
 
-    /// Makes a transaction durable, or as if it had never been.
+    /// Commits a transaction, or rolls it back after an error.
     async fn end(&mut self, done: Result<(), sqlx::Error>) -> Result<(), QueueError> {
         let ended = match done {
             Ok(()) => sqlx::query("COMMIT").execute(&mut self.connection).await.map(drop),
             Err(error) => Err(error),
         };
         if let Err(error) = ended {
-            // Where SQLite has done so by itself, there is none any more.
+            // This fails if SQLite has already rolled back by itself.
             let _ = sqlx::query("ROLLBACK").execute(&mut self.connection).await;
             return Err(no_room_or(error, &self.path));
         }
@@ -265,13 +268,13 @@ async fn number(connection: &mut SqliteConnection, sql: &'static str) -> Result<
     sqlx::query(sql).fetch_one(connection).await?.try_get(0)
 }
 
-/// A name that no other log has.
+/// Creates a unique identity for a log.
 async fn fresh(connection: &mut SqliteConnection) -> Result<Identity, sqlx::Error> {
     let random: Vec<u8> = sqlx::query("SELECT randomblob(16)").fetch_one(connection).await?.try_get(0)?;
     random.try_into().map_err(|_| sqlx::Error::Protocol("randomblob(16) has other than 16 bytes".into()))
 }
 
-/// Makes the tables; sealed, because nobody has marked it yet.
+/// Creates the tables. The header is sealed, because the log has no mark yet.
 async fn made(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let mut making = connection.begin().await?;
     sqlx::raw_sql(TABLES).execute(&mut *making).await?;
@@ -287,7 +290,7 @@ async fn put_header(connection: &mut SqliteConnection, header: Header) -> Result
     put.execute(connection).await.map(drop)
 }
 
-/// The code of SQLite behind an error, with what extends it.
+/// Returns SQLite's extended error code.
 fn code(error: &sqlx::Error) -> Option<i64> {
     error.as_database_error()?.code()?.parse().ok()
 }
@@ -297,9 +300,9 @@ fn is_busy(error: &sqlx::Error) -> bool {
     code(error).is_some_and(|code| matches!(code & 0xff, 5 | 6))
 }
 
-/// What an error of a write to the log at `path` means.
+/// Converts an error of a write to the log at `path`.
 fn no_room_or(error: sqlx::Error, path: &Path) -> QueueError {
-    // SQLITE_FULL; SQLITE_IOERR, which a quota is to SQLite.
+    // SQLITE_FULL, or SQLITE_IOERR, which SQLite reports when a quota is exceeded.
     let is_full = match code(&error).map(|code| code & 0xff) {
         Some(13) => true,
         Some(10) => refuses_bytes(path),
@@ -312,12 +315,12 @@ fn no_room_or(error: sqlx::Error, path: &Path) -> QueueError {
     QueueError::Full { place: path.display().to_string(), message }
 }
 
-/// Whether there is no room beside the log.
+/// Checks whether a test file beside the log cannot be written for lack of space.
 fn refuses_bytes(path: &Path) -> bool {
     let mut name = path.to_owned().into_os_string();
     name.push("-room");
     let written = File::create(&name).and_then(|mut file| file.write_all(&[0; 1 << 16]));
-    // It is of no use to anybody.
+    // The test file is not needed any more.
     let _ = fs::remove_file(&name);
     written.is_err_and(|error| no_room(&error))
 }
@@ -326,13 +329,14 @@ fn row(row: &SqliteRow) -> Result<Row, sqlx::Error> {
     Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
 }
 
-/// Cuts off what is behind record `last`.
+/// Removes the records after record `last`, with their notes.
 async fn cut(connection: &mut SqliteConnection, last: i64) -> Result<(), sqlx::Error> {
     sqlx::query("DELETE FROM log WHERE sequence > ?").bind(last).execute(&mut *connection).await?;
     sqlx::query("DELETE FROM notes WHERE sequence > ?").bind(last).execute(connection).await.map(drop)
 }
 
-/// - `next`: number of the first record, or of the row that stands for none.
+/// Inserts a batch.
+/// - `next`: number of its first record, or of the row that represents a batch without records.
 async fn put(connection: &mut SqliteConnection, batch: Batch<'_>, next: i64) -> Result<(), sqlx::Error> {
     let Batch { records, notes, forgotten } = batch;
     let (mut sequence, mut rest) = (next, records);
@@ -341,7 +345,8 @@ async fn put(connection: &mut SqliteConnection, batch: Batch<'_>, next: i64) -> 
         nothing.bind(&[][..]).execute(&mut *connection).await?;
     }
     while !rest.is_empty() {
-        // Each statement is a message to SQLite's thread and back: many rows in one, in a few lengths that stay prepared.
+        // Each statement is a message to SQLite's thread and back. So a statement inserts many rows; it has one of a few lengths,
+        // which stay prepared.
         let (rows, sql) = INSERTS.iter().find(|(rows, _)| *rows <= rest.len()).unwrap_or(&INSERTS[INSERTS.len() - 1]);
         let (some, later) = rest.split_at(*rows);
         let mut insert = sqlx::query(sql.as_str());
@@ -370,7 +375,8 @@ async fn put(connection: &mut SqliteConnection, batch: Batch<'_>, next: i64) -> 
     Ok(())
 }
 
-/// - `number`: of the snapshot; it takes the place of what has a lower one.
+/// Inserts a snapshot and removes all snapshots and records that it replaces.
+/// - `number`: number of the snapshot; it replaces all lower numbers.
 async fn replace(connection: &mut SqliteConnection, number: i64, state: &[u8]) -> Result<(), sqlx::Error> {
     sqlx::query("INSERT OR REPLACE INTO snapshot (sequence, checksum, state) VALUES (?, ?, ?)")
         .bind(number)
@@ -382,7 +388,7 @@ async fn replace(connection: &mut SqliteConnection, number: i64, state: &[u8]) -
     sqlx::query("DELETE FROM log WHERE sequence <= ?").bind(number).execute(connection).await.map(drop)
 }
 
-/// Minutes since the year 2020: whoever begins later has more, for as long as an incarnation has 24 bits.
+/// Returns the minutes since the year 2020, as far as 24 bits allow: a later start gets a greater number.
 fn minutes() -> u32 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u32::try_from(since_1970.as_secs().saturating_sub(1_577_836_800) / 60).unwrap_or(0).min((1 << 24) - (1 << 16))
@@ -423,7 +429,7 @@ impl Queue for Sqlite {
         Ok(())
     }
 
-    /// It has a number like a record, so that its loss shows.
+    /// Stores a snapshot. It has a number like a record, so that its loss is detected.
     async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
         self.transaction().await?;
         let replaced = replace(&mut self.connection, self.next, state).await;
@@ -452,11 +458,11 @@ impl Queue for Sqlite {
         Ok(page(rows.iter().map(row).collect::<Result<_, _>>()?))
     }
 
-    /// Beside the log, where there is room for one. Meanwhile nothing is appended. It is a log of its own: no mark of this
-    /// one is about it.
+    /// Writes the copy beside the log, where there is room for it. Nothing is appended meanwhile. The copy is a log of its own:
+    /// this log's mark does not apply to it.
     async fn copy(&mut self) -> Result<File, QueueError> {
         let path = self.beside(".copy");
-        // What a coordinator that was killed has left.
+        // A killed coordinator may have left a copy.
         match fs::remove_file(&path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
             Ok(()) | Err(_) => {}
@@ -467,12 +473,12 @@ impl Queue for Sqlite {
             Err(error) => Err(error),
         };
         let file = named.map_err(|error| no_room_or(error, &self.path)).and_then(|()| Ok(File::open(&path)?));
-        // Gone before it was made, where it could not be.
+        // If the copy could not be written, there may be no file.
         let _ = fs::remove_file(&path);
         file
     }
 
-    /// One file holds it all from then on; until then the newest records may lie in the file beside it, `-wal`.
+    /// Closes the log. After this, one file contains everything; before, the newest records may be in the `-wal` file beside it.
     async fn close(mut self) -> Result<(), QueueError> {
         if let (Some(mark), Some(header)) = (&mut self.mark, self.header) {
             let sealed = Some(mark.known().sequence);
@@ -480,7 +486,7 @@ impl Queue for Sqlite {
                 tracing::warn!(%error, "the log's mark does not reach the disk");
             }
             match self.seal(Header { sealed, ..header }).await {
-                // Then the mark goes on to say it.
+                // Without room, the header stays unsealed and the mark stays valid.
                 Ok(()) | Err(QueueError::Full { .. }) => {}
                 Err(error) => return Err(error),
             }
@@ -489,7 +495,7 @@ impl Queue for Sqlite {
     }
 }
 
-/// Makes a copy a log of its own, with all that it holds.
+/// Gives a copy its own identity and seals it with its last record.
 async fn rename(path: &Path, last: i64) -> Result<(), sqlx::Error> {
     let mut copy = options(path).journal_mode(SqliteJournalMode::Delete).connect().await?;
     let identity = fresh(&mut copy).await?;

@@ -1,4 +1,4 @@
-//! What every log must do, and what the file must survive.
+//! Conformance tests for every log, and damage tests for the SQLite file.
 
 use std::path::Path;
 
@@ -11,8 +11,8 @@ fn records(from: u8, to: u8) -> Vec<Vec<u8>> {
     (from..to).map(|byte| vec![byte; byte as usize]).collect()
 }
 
-/// `open` gives a new handle to the same log after the one before is gone. All is asked in a coordinator's order: a log is
-/// loaded once, right after it was opened, and whatever follows goes on from there.
+/// Checks a log. `open` returns a new handle to the log after the previous handle is dropped. Calls have the order of a
+/// coordinator: a log is loaded once, directly after it was opened, and all further calls follow.
 async fn conforms<Q: Queue>(open: impl AsyncFn() -> Q) {
     let mut queue = open().await;
     assert_eq!(queue.load().await.unwrap(), Contents::default(), "a new log is empty");
@@ -48,7 +48,7 @@ async fn conforms<Q: Queue>(open: impl AsyncFn() -> Q) {
     assert_eq!(open().await.load().await.unwrap(), expected, "a snapshot without records before it is gone on from");
 }
 
-/// As [`conforms`], by chance: whatever is done, the log that is opened next holds just that.
+/// Checks a log with random operations: after each reopening, it holds exactly the expected contents. `open` as for [`conforms`].
 async fn walks<Q: Queue>(open: impl AsyncFn() -> Q, seed: u64) {
     let (mut chance, mut model) = (Chance(seed), Model::default());
     let mut queue = open().await;
@@ -118,12 +118,12 @@ fn note(subject: u64, byte: u8) -> Note {
     Note { subject, bytes: vec![byte; 3] }
 }
 
-/// The first bytes of all notes of a subject.
+/// Returns the first byte of each note of a subject.
 async fn notes<Q: Queue>(queue: &mut Q, subject: u64) -> Vec<u8> {
     all_notes(queue, subject).await.into_iter().map(|note| note[0]).collect()
 }
 
-/// `open` as for [`conforms`].
+/// Checks the notes of a log. `open` as for [`conforms`].
 async fn keeps_notes<Q: Queue>(open: impl AsyncFn() -> Q) {
     let mut queue = open().await;
     queue.load().await.unwrap();
@@ -221,7 +221,7 @@ async fn postgres_conforms_over_an_encrypted_connection() {
     conforms(async || lead(&url).await).await;
 }
 
-/// A dropped connection closes in the background; wait for it as a new process would not need to.
+/// Opens the log at `path`. A dropped connection closes in the background, so this waits for it; a new process need not.
 async fn reopen(path: &Path) -> Sqlite {
     reopen_with(path, Loss::Refused).await
 }

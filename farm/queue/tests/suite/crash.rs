@@ -1,8 +1,7 @@
-//! Whatever becomes of the files of a log in SQLite, one that opens holds what was acknowledged: killed at every write, with
-//! a bit flipped, short, or without one of them.
+//! Crash and damage tests of a log in SQLite: killed at every write, with a flipped bit, truncated, or without one of its files.
 //!
-//! The law: what opens is the model at the end of a batch, not of an earlier one than the last that was acknowledged. Where only
-//! a process was killed, it opens without help. Where a file is damaged, it may be refused instead.
+//! The rule: a log that opens equals the model at the end of a batch, and not before the last acknowledged batch. If only the
+//! process was killed, the log opens without help. If a file is damaged, the log may be refused instead.
 
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
@@ -12,7 +11,7 @@ use crate::common::{Chance, Model, Work};
 use femc_queue::{Contents, Loss, Lost, Queue, QueueError, Sqlite};
 use tempfile::TempDir;
 
-/// The files of a log; `None`: not there.
+/// Contents of a log's files; `None`: the file does not exist.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct Files {
     log: Option<Vec<u8>>,
@@ -21,7 +20,7 @@ struct Files {
 }
 
 const ENDS: [&str; 3] = ["", "-wal", "-mark"];
-/// Bytes of a header of the file that SQLite writes ahead, and of a frame with a page of 4096.
+/// Sizes in bytes of the write-ahead log's header, and of a frame with a page of 4096 bytes.
 const HEADER: usize = 32;
 const FRAME: usize = 24 + 4096;
 
@@ -49,7 +48,7 @@ impl Files {
         }
     }
 
-    /// What a start finds in these files.
+    /// Opens a log from these files and returns its contents.
     async fn open(&self) -> Result<Contents, QueueError> {
         self.open_with(Loss::Refused).await
     }
@@ -65,12 +64,12 @@ impl Files {
     }
 }
 
-/// In memory, where there is such a place: a disk's syncs are no part of this.
+/// Creates a temporary folder, in memory if possible: these tests do not test syncs of a disk.
 fn scratch() -> TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
 
-/// Something that is done to a log.
+/// An operation on a log.
 #[derive(Debug, Clone)]
 enum Operation {
     Append(Work),
@@ -96,7 +95,7 @@ impl Operation {
     }
 }
 
-/// What a log is after each of these operations, with its files as a kill would leave them then.
+/// Runs the operations. Returns the log's files and its model after each of them; the files are as a kill would leave them.
 async fn story(operations: &[Operation]) -> Vec<(Files, Model)> {
     let folder = scratch();
     let path = folder.path().join("log");
@@ -121,7 +120,8 @@ fn is(contents: &Contents, model: &Model) -> bool {
     contents.records == model.records && contents.snapshot == model.snapshot && contents.lost.is_none()
 }
 
-/// The files at moments between two operations, every `step`-th: each write of SQLite goes on where the one before has ended.
+/// Returns every `step`-th intermediate state of the files between two operations. Each write of SQLite continues where the
+/// previous write ended.
 fn between(before: &Files, after: &Files, step: usize) -> Vec<Files> {
     let (old, new) = (before.ahead.clone().unwrap_or_default(), after.ahead.clone().unwrap_or_default());
     let same = old.iter().zip(&new).take_while(|(old, new)| old == new).count();
@@ -135,7 +135,7 @@ fn between(before: &Files, after: &Files, step: usize) -> Vec<Files> {
             Files { ahead: Some(ahead), ..before.clone() }
         })
         .collect();
-    // Then pages go into the log itself, one after the other.
+    // Then pages are copied into the main file, one after the other.
     let (old, new) = (before.log.clone().unwrap_or_default(), after.log.clone().unwrap_or_default());
     let mut log = old.clone();
     let pages = (0..new.len()).step_by(4096).filter(|&at| old.get(at..at + 4096) != new.get(at..at + 4096));
@@ -185,7 +185,7 @@ async fn a_log_that_is_killed_at_any_write_opens_without_help_with_many_seeds() 
     }
 }
 
-/// Large enough that SQLite brings pages into the log on its own and begins to write ahead from the start again.
+/// The records are so large that SQLite checkpoints by itself and restarts its write-ahead log from the beginning.
 #[tokio::test]
 async fn a_log_that_is_killed_while_its_pages_are_brought_in_holds_all_that_was_acknowledged() {
     let large = |byte: u8| Operation::Append(Work { records: vec![vec![byte; 1 << 20]; 3], ..Work::default() });
@@ -203,7 +203,7 @@ async fn a_log_that_is_killed_while_its_pages_are_brought_in_holds_all_that_was_
     assert!(is_brought_in, "SQLite brought no page into the log before its end");
 }
 
-/// The law of damage; whether it was refused.
+/// Checks the rule for damaged files. Returns whether the log was refused.
 async fn judge(files: &Files, model: &Model, what: &str) -> bool {
     match files.open().await {
         Ok(contents) => {
@@ -223,7 +223,7 @@ async fn survives_flips(files: &Files, model: &Model, every: usize, when: &str) 
         let mut damaged = files.clone();
         let Some(bits) = damaged.all()[file].as_ref().map(|bytes| 8 * bytes.len()) else { continue };
         let mut refused = 0;
-        // Not always the same bit of a byte.
+        // An odd step, so that the position of the bit within its byte varies.
         for bit in (0..bits).step_by(every | 1) {
             let mut damaged = files.clone();
             if let Some(bytes) = damaged.all()[file] {
@@ -323,7 +323,7 @@ async fn a_bit_of_what_is_written_ahead_loses_what_follows_which_is_told_and_may
     assert_eq!((contents.records.len() as i64, contents.lost), (kept + 1, None));
 }
 
-/// A connection that is dropped closes behind one's back.
+/// Opens and loads the log at `path`. Retries while it is in use, because a dropped connection closes in the background.
 async fn open_at(path: &Path, loss: Loss) -> Result<(Sqlite, Contents), QueueError> {
     let mut queue = loop {
         match Sqlite::open_with(path, loss).await {
@@ -372,7 +372,7 @@ async fn a_copy_that_is_put_in_the_log_s_place_is_another_log_with_incarnations_
     }
 }
 
-/// Writes until it is killed, and says what it knows to be durable.
+/// Child process of the tests below: appends until it is killed, and prints the numbers of the durable batches.
 #[tokio::test]
 async fn child() {
     let Some(path) = std::env::var_os("FEMC_QUEUE_CHILD") else { return };
@@ -388,7 +388,7 @@ async fn child() {
     queue.close().await.unwrap();
 }
 
-/// The last batch that was acknowledged, and what opens after that.
+/// Runs `command`. Returns the last acknowledged batch, and the log's contents afterward.
 async fn after(command: &mut Command, path: &Path, kill_after: Option<u32>) -> (Option<u32>, Contents) {
     let mut child = command.env("FEMC_QUEUE_CHILD", path).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut durable = None;
@@ -429,7 +429,7 @@ async fn a_process_that_is_killed_at_any_time_loses_nothing_that_it_called_durab
     }
 }
 
-/// Killed as it enters its n-th call of the system that changes a file.
+/// Kills the child process as it enters its n-th system call that changes a file, for each n of `calls`.
 async fn killed_at_calls(calls: impl Iterator<Item = usize>) {
     let folder = scratch();
     let changes = "pwrite64,write,fsync,fdatasync,ftruncate,unlink,rename";

@@ -1,4 +1,4 @@
-//! The log and its backends, a module a topic.
+//! Tests of the log and its backends, one module per topic.
 
 mod common;
 mod conformance;

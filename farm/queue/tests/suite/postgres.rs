@@ -1,4 +1,4 @@
-//! What the log in PostgreSQL must survive: damage, strangers, and several coordinators at once.
+//! Tests of the log in PostgreSQL: damage, foreign tables and connections, and several coordinators at once.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -7,7 +7,7 @@ use femc_queue::testing::Scratch;
 use femc_queue::{Batch, Contents, Database, Leader, Loss, Lost, Postgres, Queue, QueueError, Remedy, Standby};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
-/// Shorter than in life: nothing here waits for more than these.
+/// Allowed silence of a leader. It is shorter than in production, so that the tests do not wait long.
 const PATIENCE: Duration = Duration::from_millis(800);
 
 fn records(from: u8, to: u8) -> Vec<Vec<u8>> {
@@ -24,7 +24,8 @@ async fn leader(scratch: &Scratch, url: &str) -> Postgres {
     queue
 }
 
-/// So patient that its signs of life come a second apart: it does not hear by itself that it is deposed.
+/// Starts a leader with an allowed silence of 60 s. Its heartbeats are a second apart, so it does not quickly notice by itself that
+/// it is deposed.
 async fn trusting_leader(scratch: &Scratch) -> Postgres {
     let standby = Standby::open(scratch.url().parse().unwrap(), "http://one".into(), Duration::from_secs(60)).await;
     let mut queue = standby.unwrap().lead(|_| ()).await.unwrap();
@@ -36,7 +37,7 @@ async fn with_five(scratch: &Scratch) {
     leader(scratch, "http://one").await.append(Batch::of(&records(1, 6))).await.unwrap();
 }
 
-/// Lets another coordinator lead, as far as the epoch goes; the connections and the lock stay as they are.
+/// Increments the epoch, as if another coordinator led. The connections and the lock do not change.
 const NEXT_EPOCH: &str = "UPDATE femc.leader SET epoch = epoch + 1";
 
 #[tokio::test]
@@ -89,7 +90,7 @@ async fn an_incarnation_is_above_those_before_it_and_above_those_of_a_log_that_w
     let mut queue = trusting_leader(&scratch).await;
     let first = queue.reserve(1).await.unwrap();
     assert_eq!((queue.reserve(1).await.unwrap(), queue.reserve(first + 7).await.unwrap()), (first + 1, first + 7));
-    // A dump of two minutes before the first, restored.
+    // Restore the state of a dump from two minutes before the first reservation.
     scratch.tamper(&format!("UPDATE femc.leader SET incarnation = {}", first - 2)).await;
     assert!(queue.reserve(1).await.unwrap() >= first);
     scratch.tamper(NEXT_EPOCH).await;
@@ -152,7 +153,7 @@ async fn coordinators_that_begin_at_the_same_moment_make_the_tables_once_and_one
             let standby = Standby::open(database, format!("http://{number}"), PATIENCE).await.unwrap();
             let queue = standby.lead(|_| ()).await.unwrap();
             sent.send(()).unwrap();
-            // Leads until the test ends.
+            // Lead until the test ends.
             std::future::pending::<()>().await;
             drop(queue);
         })
@@ -260,7 +261,7 @@ async fn a_leader_cut_off_in_the_middle_of_a_write_gives_up_before_another_leads
     let Some(scratch) = Scratch::new().await else { return };
     let mut first = leader(&scratch, "http://one").await;
     let second = standby(&scratch, "http://two").await;
-    // Whoever holds this keeps appends and signs of life waiting, as a database that is out of reach does.
+    // This lock blocks appends and heartbeats, like an unreachable database.
     let (held, release) = (scratch.url(), Arc::new(tokio::sync::Notify::new()));
     let until = release.clone();
     let holder = tokio::spawn(async move { femc_queue::testing::hold(&held, "femc.leader", until).await });
@@ -280,7 +281,7 @@ async fn a_leader_cut_off_in_the_middle_of_a_write_gives_up_before_another_leads
     assert_eq!(second.lead(|_| ()).await.unwrap().epoch(), 2);
 }
 
-/// A leader in a runtime of its own, which stands still whenever nobody runs it: like a process that was stopped.
+/// The leader runs in its own runtime, which makes progress only while the test runs it: like a stopped process.
 #[tokio::test]
 async fn a_frozen_leader_is_replaced_and_writes_nothing_when_it_wakes() {
     let Some(scratch) = Scratch::new().await else { return };
@@ -333,7 +334,7 @@ async fn a_wrong_password_or_database_and_a_server_that_is_away_are_told_apart()
     let error = refused(&format!("{head}@{place}/no_such_database")).await;
     assert!(matches!(&error, QueueError::Rejected { message, .. } if message.contains("no_such_database")), "{error}");
     assert!(!error.to_string().contains(password), "{error}");
-    // A port that nobody listens on: bound, so that nobody else takes it.
+    // A port without a listener: bound, so that no other process takes it.
     let taken = tokio::net::TcpSocket::new_v4().unwrap();
     taken.bind("127.0.0.1:0".parse().unwrap()).unwrap();
     let error = refused(&format!("postgres://ann:x@{}/farm", taken.local_addr().unwrap())).await;
@@ -368,7 +369,7 @@ async fn commits_wait_for_the_disk_even_where_the_server_would_not() {
     assert_eq!(scratch.number("SELECT count(*) FROM seen.settings").await, 1);
 }
 
-/// Says that it speaks no TLS to whoever asks.
+/// Starts a server that refuses TLS.
 async fn plain_server() -> String {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let place = listener.local_addr().unwrap();
@@ -396,7 +397,7 @@ async fn an_encrypted_connection_knows_whom_it_talks_to_and_what_is_wrong_is_not
         let error = refused(url).await;
         assert!(matches!(&error, QueueError::Rejected { message, .. } if message.contains(reason)), "{url}: {error}");
     };
-    // Nobody whom this machine trusts has issued its certificate; it is of another name; that file is not there.
+    // Three errors: the issuer is not trusted; the certificate has another host name; the file does not exist.
     let (open, _) = url.split_once('?').unwrap();
     rejected(&format!("{open}?sslmode=verify-full"), "UnknownIssuer").await;
     let numeric = open.replace("localhost", "127.0.0.1");
@@ -411,7 +412,7 @@ async fn refused_by_nobody(url: &str) {
     Standby::open(url.parse().unwrap(), "http://one".into(), PATIENCE).await.map(drop).unwrap();
 }
 
-/// Records of up to 1 MiB, several at a time and thousands of small ones: nothing is waited for in vain.
+/// Records of up to 1 MiB, several at a time, and thousands of small ones: no append hangs.
 #[tokio::test]
 async fn an_encrypted_log_takes_what_a_farm_writes() {
     let Some(scratch) = Scratch::new().await else { return };

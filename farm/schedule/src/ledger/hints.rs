@@ -1,4 +1,5 @@
-//! What frames have made that the frame behind may look at: kept beside the frames' own outputs, until that one is finished too.
+//! Hints: outputs of a frame that tasks of the next frame may read if they exist. They are kept beside the frame's own outputs
+//! until the next frame is finished, too.
 
 use std::collections::BTreeMap;
 
@@ -7,28 +8,28 @@ use serde::{Deserialize, Serialize};
 
 use super::shape::Shape;
 
-/// What a task has left in the last of its rounds that is done, by key and role: one that is cut leaves something of each run.
+/// Outputs of a task in its last finished round, by key and role. A divided task has outputs for each of its runs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 struct Left {
     round: u32,
     outputs: BTreeMap<(u32, Role), Output>,
 }
 
-/// What the tasks of a frame have left, by stage and task.
+/// Outputs of a frame's tasks, by stage and task.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct OfFrame {
-    /// The build of the engine that made it: another one does not look at it.
+    /// Build of the engine that made them; tasks of another build do not read them.
     engine: String,
     tasks: BTreeMap<(u16, u32), Left>,
 }
 
-/// By frame; only of those whose frame behind is not finished.
+/// Hints by frame, only of frames whose next frame is not finished.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Hints(BTreeMap<u32, OfFrame>);
 
 impl Hints {
-    /// A run of a frame's task is done; returns what is named no longer.
-    /// - `item`, `key`: the task and the first key of the run.
+    /// Adds the outputs of a finished run of a task. Returns the artifacts that are no longer referenced.
+    /// - `item`, `key`: the task, and the first key of the run.
     pub(super) fn note(
         &mut self,
         shape: &Shape<'_>,
@@ -58,13 +59,13 @@ impl Hints {
         self.0.is_empty()
     }
 
-    /// Nobody will look at what this frame has made; returns what is named no longer.
+    /// Removes the hints of a frame. Returns the artifacts that are no longer referenced.
     pub(super) fn forget(&mut self, frame: u32) -> Vec<Digest> {
         self.0.remove(&frame).iter().flat_map(OfFrame::artifacts).collect()
     }
 
-    /// What a task may look at of the frame before, for a worker of this build.
-    /// - `number`, `item`: of the stage and the task that looks.
+    /// Returns the hints from the previous frame for a task, for a worker of this build.
+    /// - `number`, `item`: stage and number of the task that reads them.
     pub(super) fn of(&self, shape: &Shape<'_>, before: u32, (number, item): (u16, u32), engine: &str) -> Vec<Input> {
         let of_frame = self.0.get(&before).filter(|of_frame| of_frame.engine == engine);
         let (Some(of_frame), Some(template)) = (of_frame, shape.template(number)) else { return Vec::new() };

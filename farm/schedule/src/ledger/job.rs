@@ -15,18 +15,18 @@ use super::shape::{Place, Shape};
 use super::unit::Unit;
 use crate::{Casualty, RangeSet};
 
-/// What a person has done to a job.
+/// User control of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Hold {
-    /// Nothing: it may run.
+    /// The job may run.
     Free,
-    /// Held.
+    /// The job is paused.
     Paused,
-    /// Ended.
+    /// The job is cancelled.
     Cancelled,
 }
 
-/// An output of a finished frame that stages of the job read: of the last round, or of every one where they read all.
+/// An output of a finished frame that stages of the job read: of the last round, or of every round if they read all rounds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Made {
     /// Number of the stage that made it.
@@ -35,16 +35,16 @@ pub(crate) struct Made {
     pub(super) output: Output,
 }
 
-/// A finished frame, or the finished stages of the job, and the lease that finished it.
+/// A finished frame, or the finished stages of the job, with the lease that finished it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Finished {
-    /// Of the last task: a repeated completion gets the same answer.
+    /// Stage, key and epoch of the last task, so that a repeated completion gets the same answer.
     last: (Stage, u32, Epoch),
-    /// What `femc fetch` needs.
+    /// Record of the frame, for `femc fetch`.
     pub(crate) record: FrameRecord,
-    /// Units of work in it.
+    /// Number of its units of work.
     units: u64,
-    /// What stages of the job read: kept as long as the job.
+    /// Outputs that stages of the job read. They are kept as long as the job.
     pub(super) made: Vec<Made>,
 }
 
@@ -55,52 +55,53 @@ impl Finished {
     }
 }
 
-/// What jobs share: the stages of one content, done by one build of the engine.
+/// Identity of a shared job: the stages of one content, done by one build of the engine.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(crate) struct Shared {
     pub(crate) key: Digest,
     pub(crate) engine: String,
 }
 
-/// A job: as asked for, and what has come of it. Or what jobs share: then its only unit is its own, and it has no frames.
+/// A job: its specification and its progress. A shared job has only one unit, its own stages, and no frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Job {
     pub(crate) spec: Box<JobSpec>,
     pub(crate) hold: Hold,
     pub(crate) doom: Option<Failure>,
-    /// First lease of a task that was completed.
+    /// Time of the first lease of a completed task.
     pub(crate) began: Option<Tick>,
     pub(crate) ended: Option<Tick>,
-    /// Frames with some result or failure, not finished, and the job's own stages under [`Stage::OF_JOB`]; the others cost nothing.
+    /// Unfinished frames with some result or failure, and the job's own stages under [`Stage::OF_JOB`]. All other frames need no
+    /// memory.
     pub(crate) units: BTreeMap<u32, Unit>,
     pub(crate) finished: BTreeMap<u32, Finished>,
-    /// Frames that only a retry can move.
+    /// Blocked frames, which stay blocked until a retry.
     pub(crate) blocked: BTreeSet<u32>,
-    /// Relative error of the frame measured last. Statuses have that of the worst frame; it stays because the log stores fields by
-    /// position.
+    /// Relative error of the frame measured last. Statuses show that of the worst frame; the field remains because the log stores
+    /// fields by position.
     relative_error: Option<f64>,
-    /// Blocks of the frame measured last, likewise.
+    /// Blocks of the frame measured last; it remains for the same reason.
     #[serde(deserialize_with = "femc_model::since_version_9")]
     blocks: Option<Blocks>,
     submitted: Tick,
     /// Calendar date of the submission: Unix time in milliseconds.
     #[serde(deserialize_with = "femc_model::since_version_10")]
     pub(crate) date: Option<u64>,
-    /// Its ends are announced: not those of jobs that were submitted before version 11 of the log.
+    /// Whether its ends are announced; not for jobs submitted before version 11 of the log.
     #[serde(deserialize_with = "femc_model::since_version_11")]
     announces: bool,
-    /// It has ended, and not everybody who is to be told of that was told.
+    /// Whether it has ended and the end is not announced to all recipients yet.
     #[serde(deserialize_with = "femc_model::since_version_11")]
     pub(crate) is_unannounced: bool,
     cut: Cut,
     pub(crate) shared: Option<Shared>,
-    /// Frames that are neither finished nor blocked, by the key of their content.
+    /// Number of frames that are neither finished nor blocked, by the key of their content.
     left: BTreeMap<Digest, u32>,
-    /// What frames may look at of the frame before.
+    /// Hints for tasks of the next frames.
     hints: Hints,
 }
 
-/// The part of the graph that a frame number has; borrows all of the job but its units.
+/// Returns the [`Shape`] of a frame number. The macro borrows all fields of the job except its units.
 macro_rules! shape {
     ($job:expr, $frame:expr) => {{
         let scope = if $job.shared.is_some() { Scope::Content } else { Shape::scope_of($frame) };
@@ -155,12 +156,12 @@ impl Job {
         Self { announces, ..self }
     }
 
-    /// Its frames, ascending.
+    /// Returns its frames, ascending.
     pub(crate) fn frames(&self) -> &[u32] {
         if self.shared.is_some() { &[] } else { &self.spec.frames }
     }
 
-    /// The key of a frame's content.
+    /// Returns the key of a frame's content.
     pub(crate) fn content(&self, frame: u32) -> Option<Digest> {
         if self.spec.contents.is_empty() {
             return None;
@@ -168,7 +169,7 @@ impl Job {
         self.spec.content(self.frames().binary_search(&frame).ok()?)
     }
 
-    /// The contents of those of its frames of which this holds.
+    /// Returns the contents of the frames for which `is_meant` holds.
     pub(crate) fn contents_of(&self, is_meant: impl Fn(u32) -> bool) -> BTreeSet<Digest> {
         let mut first = 0;
         let runs = self.spec.contents.iter().map(|(end, key)| (std::mem::replace(&mut first, *end)..*end, key));
@@ -176,49 +177,49 @@ impl Job {
         runs.filter(|(run, _)| frames(run.clone()).iter().any(|&frame| is_meant(frame))).map(|(_, key)| *key).collect()
     }
 
-    /// Whether something of the frame has failed as often as it may, or keeps it from ever being finished.
+    /// Checks whether the frame is blocked or has a quarantined task.
     pub(crate) fn has_trouble(&self, frame: u32) -> bool {
         let unit = self.units.get(&frame);
         self.blocked.contains(&frame) || unit.is_some_and(|unit| unit.quarantined().next().is_some())
     }
 
-    /// Whether frames with this content are to be finished.
+    /// Checks whether frames with this content still have to be finished.
     pub(crate) fn needs(&self, key: &Digest) -> bool {
         self.left.get(key).is_some_and(|&left| left > 0)
     }
 
-    /// Whether some of its frames with this content are blocked.
+    /// Checks whether some of its frames with this content are blocked.
     pub(crate) fn has_blocked_frames_of(&self, key: &Digest) -> bool {
         self.blocked.iter().any(|&frame| self.content(frame).as_ref() == Some(key))
     }
 
-    /// The contents that frames to be finished have.
+    /// Returns the contents of the frames that still have to be finished.
     pub(crate) fn contents(&self) -> impl Iterator<Item = Digest> + '_ {
         self.left.iter().filter(|(_, left)| **left > 0).map(|(key, _)| *key)
     }
 
-    /// A frame is to be finished, or is not any more.
+    /// Notes whether a frame still has to be finished.
     fn note_left(&mut self, frame: u32, is_left: bool) {
         let Some(left) = self.content(frame).and_then(|key| self.left.get_mut(&key)) else { return };
         *left = if is_left { *left + 1 } else { left.saturating_sub(1) };
     }
 
-    /// How its tasks are cut.
+    /// Returns the granularity at which its tasks are divided.
     pub(crate) fn cut(&self) -> Cut {
         self.cut
     }
 
-    /// The part of the graph that this frame has, or the job as a whole.
+    /// Returns the part of the graph that belongs to this frame, or to the job as a whole.
     pub(crate) fn shape(&self, frame: u32) -> Shape<'_> {
         shape!(self, frame)
     }
 
-    /// What a worker must have for a stage's tasks, beside the job's tags.
+    /// Returns the tags that a worker needs for a stage's tasks, in addition to the job's tags.
     pub(crate) fn tags_of(&self, number: u16) -> &[String] {
         self.spec.graph.stage(number).map_or(&[], |template| &template.tags)
     }
 
-    /// The frame, as if it had begun.
+    /// Returns the progress of the frame; an empty one if it has not begun.
     pub(crate) fn unit(&self, frame: u32) -> Cow<'_, Unit> {
         match self.units.get(&frame) {
             Some(unit) => Cow::Borrowed(unit),
@@ -226,7 +227,7 @@ impl Job {
         }
     }
 
-    /// How the tasks of a stage are numbered.
+    /// Returns the numbering of the sample chunks of a stage.
     pub(crate) fn grains(&self, stage: &Stage) -> Option<Grains<'_>> {
         let (shape, place) = (self.shape(stage.frame), (stage.round, stage.number));
         match self.units.get(&stage.frame) {
@@ -235,17 +236,17 @@ impl Job {
         }
     }
 
-    /// A frame that nobody has begun.
+    /// Returns the progress of a frame that has not begun.
     pub(crate) fn fresh(&self, frame: u32) -> Unit {
         Unit::new(&self.shape(frame), Tick(u64::MAX))
     }
 
-    /// Whether it is done for all jobs, and will be by nobody without a retry.
+    /// Checks whether it is a shared job that has ended without being done. Only a retry can finish it.
     pub(crate) fn is_stuck(&self) -> bool {
         self.shared.is_some() && self.has_ended() && !self.is_done()
     }
 
-    /// Bytes of the artifacts that it keeps for others, finished or not, and of its description.
+    /// Returns the bytes of the artifacts that it keeps for others, whether it is finished or not, and of its description.
     pub(crate) fn bytes(&self) -> u64 {
         let made = self.finished.values().flat_map(|finished| &finished.made).map(|made| made.output);
         let in_work = self.units.values().flat_map(|unit| unit.outputs().map(|(.., output)| output));
@@ -255,34 +256,35 @@ impl Job {
         artifacts + (self.spec.settings.len() + stages) as u64
     }
 
-    /// When it was submitted.
+    /// Returns the time of its submission.
     pub(crate) fn submitted(&self) -> Tick {
         self.submitted
     }
 
-    /// When it was done, or was begun where it is not.
+    /// Returns the time when it ended, or when it was submitted if it has not ended.
     pub(crate) fn dated(&self) -> Tick {
         self.ended.unwrap_or(self.submitted)
     }
 
-    /// What was made of it for frames, by one of their needs.
+    /// Returns the outputs of a finished shared job for one need of a frame's task.
     pub(crate) fn made(&self, need: &Need) -> impl Iterator<Item = (u32, Output)> + use<'_> {
         let (stage, role) = (need.stage, need.role);
         let made = self.finished.values().flat_map(|finished| &finished.made);
         made.filter(move |made| (made.stage, made.output.role) == (stage, role)).map(|made| (made.item, made.output))
     }
 
-    /// Units of work in finished frames.
+    /// Returns the units of work in finished frames.
     pub(crate) fn finished_units(&self) -> u64 {
         self.finished.values().map(|finished| finished.units).sum()
     }
 
-    /// Whether something of it is done once for the whole job.
+    /// Checks whether it has stages that are done once for the whole job.
     pub(crate) fn has_job_stages(&self) -> bool {
         self.shared.is_some() || self.spec.graph.has_job()
     }
 
-    /// The frame with the greatest relative error so far, its error and blocks. A frame without light comes after all others.
+    /// Returns the frame with the greatest relative error so far, with its error and blocks. A frame without light comes after all
+    /// others.
     pub(crate) fn worst_frame(&self) -> Option<(WorstFrame, Option<f64>, Option<Blocks>)> {
         let rounds = self.spec.graph.loop_of(Scope::Frame).map_or(1, |(_, around)| around.rounds);
         let finished = self.finished.iter().map(|(&frame, Finished { record, .. })| {
@@ -307,46 +309,47 @@ impl Job {
         })
     }
 
-    /// How many frames are finished.
+    /// Returns the number of finished frames.
     pub(crate) fn frames_done(&self) -> usize {
         self.finished.len() - usize::from(self.finished.contains_key(&Stage::OF_JOB))
     }
 
-    /// How many frames only a retry can move.
+    /// Returns the number of blocked frames.
     pub(crate) fn frames_blocked(&self) -> usize {
         self.blocked.len() - usize::from(self.blocked.contains(&Stage::OF_JOB))
     }
 
-    /// Whether all that was asked for is there.
+    /// Checks whether everything is finished.
     pub(crate) fn is_done(&self) -> bool {
         self.finished.len() == self.frames().len() + usize::from(self.has_job_stages())
     }
 
-    /// Whether every frame is finished or blocked, and the job's own stages, or the job as a whole is over.
+    /// Checks whether every frame and the job's own stages are finished or blocked, or the job is cancelled or has failed as a
+    /// whole.
     pub(crate) fn has_ended(&self) -> bool {
         self.hold == Hold::Cancelled
             || self.doom.is_some()
             || self.finished.len() + self.blocked.len() == self.frames().len() + usize::from(self.has_job_stages())
     }
 
-    /// Whether nothing more will be made of it without a person.
+    /// Checks whether the job is cancelled or has failed as a whole: only a retry continues it.
     pub(crate) fn is_over(&self) -> bool {
         self.hold == Hold::Cancelled || self.doom.is_some()
     }
 
-    /// Whether its tasks may be leased.
+    /// Checks whether its tasks may be leased.
     pub(crate) fn is_runnable(&self) -> bool {
         self.hold == Hold::Free && !self.has_ended()
     }
 
-    /// Whether the frame is asked for and neither finished nor blocked.
+    /// Checks whether the frame belongs to the job and is neither finished nor blocked.
     pub(crate) fn is_open(&self, frame: u32) -> bool {
         let is_there =
             if frame == Stage::OF_JOB { self.has_job_stages() } else { self.frames().binary_search(&frame).is_ok() };
         is_there && !self.finished.contains_key(&frame) && !self.blocked.contains(&frame)
     }
 
-    /// Whether the stage is one of the job's, in a round that has begun, of a frame that is open.
+    /// Checks whether the stage belongs to the job, its frame is open, and its round has begun.
     fn is_current(&self, stage: &Stage) -> bool {
         self.is_open(stage.frame)
             && self.shape(stage.frame).template(stage.number).is_some_and(|template| template.kind == stage.kind)
@@ -390,12 +393,12 @@ impl Job {
         released
     }
 
-    /// The task, before it is cut, that a key is of.
+    /// Returns the task that a key belongs to.
     pub(crate) fn item(&self, stage: &Stage, key: u32) -> Option<u32> {
         self.grains(stage).map(|grains| grains.task(key))
     }
 
-    /// A task is done whose outputs the frame behind may look at; returns what is named no longer.
+    /// Keeps the outputs of a completed task as hints for the next frame. Returns the artifacts that are no longer referenced.
     pub(super) fn note_hints(&mut self, task: &TaskKey, end: u32, engine: &str, result: &TaskResult) -> Vec<Digest> {
         let (stage, shape) = (&task.stage, shape!(self, task.stage.frame));
         let place = (stage.round, stage.number);
@@ -407,12 +410,12 @@ impl Job {
         self.hints.note(&shape, stage, (grains.task(task.index), task.index), engine, result)
     }
 
-    /// The keys of a task.
+    /// Returns the keys of a task.
     pub(crate) fn keys_of(&self, stage: &Stage, item: u32) -> Range<u32> {
         self.grains(stage).map_or(0..0, |grains| grains.of_task(item))
     }
 
-    /// What a task may look at of the frame before, for a worker of this build.
+    /// Returns the hints from the previous frame for a task, for a worker of this build.
     pub(crate) fn hints(&self, stage: &Stage, item: u32, engine: &str) -> Vec<Input> {
         if self.hints.is_empty() {
             return Vec::new();
@@ -423,7 +426,8 @@ impl Job {
         before.map(hints).unwrap_or_default()
     }
 
-    /// A frame is finished: it looks at the one before no more, and nobody at itself if the one behind is finished or there is none.
+    /// Removes hints when a frame is finished: those of the previous frame, and its own if the next frame is finished or there is
+    /// none. Returns the artifacts that are no longer referenced.
     fn forget_hints(&mut self, frame: u32) -> Vec<Digest> {
         if self.hints.is_empty() {
             return Vec::new();
@@ -443,7 +447,7 @@ impl Job {
         Vec::new()
     }
 
-    /// The keys of a run that are neither done nor put aside.
+    /// Returns the keys of a run that are neither done nor quarantined.
     pub(crate) fn open_keys(&self, stage: &Stage, keys: &Range<u32>) -> RangeSet {
         if !self.is_current(stage) {
             return RangeSet::default();
@@ -455,12 +459,12 @@ impl Job {
         open
     }
 
-    /// Whether the task has failed too often.
+    /// Checks whether the task is quarantined.
     pub(crate) fn is_put_aside(&self, task: &TaskKey) -> bool {
         self.units.get(&task.stage.frame).is_some_and(|unit| unit.is_put_aside(&task.stage, task.index))
     }
 
-    /// Whether all that a task reads is there.
+    /// Checks whether all inputs of a task exist.
     pub(crate) fn has_inputs(&self, task: &TaskKey) -> bool {
         let (unit, shape) = (self.unit(task.stage.frame), self.shape(task.stage.frame));
         let place = (task.stage.round, task.stage.number);
@@ -468,7 +472,7 @@ impl Job {
         grains.is_some_and(|grains| unit.has_inputs(&shape, place, grains.task(task.index)))
     }
 
-    /// Whether some of a stage's keys from the task's on are still to be done.
+    /// Checks whether some of these keys of the task's stage still have to be done.
     pub(crate) fn wants(&self, task: &TaskKey, keys: &Range<u32>) -> bool {
         !self.has_ended() && !self.open_keys(&task.stage, keys).is_empty()
     }
@@ -491,19 +495,19 @@ impl Job {
         if let Some(unit) = self.units.get_mut(&task.stage.frame) {
             unit.lost(&shape, (task.stage.round, task.stage.number), task.index);
         }
-        // What makes it may be put aside, and all the rest may read it.
+        // The task that makes it may be quarantined, and all remaining tasks may need it.
         self.note_block(task.stage.frame);
         Vec::new()
     }
 
-    /// The finished frames of which this is a result, or something that the job's own stages read.
+    /// Returns the finished frames that have this artifact as a result, or as an output that the job's own stages read.
     pub(crate) fn made_by(&self, digest: &Digest) -> impl Iterator<Item = u32> + use<'_> {
         let digest = *digest;
         let has = move |finished: &Finished| finished.artifacts().any(|artifact| artifact == digest);
         self.finished.iter().filter(move |(_, finished)| has(finished)).map(|(&frame, _)| frame)
     }
 
-    /// What is known of the frame is forgotten, but for the time that it has taken. The job may have been done.
+    /// Restarts the frame: discards its progress except for the time spent. The job may have been done before.
     pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
         self.blocked.remove(&Stage::OF_JOB);
         let mut released = self.hints.forget(frame);
@@ -514,7 +518,7 @@ impl Job {
             if !self.has_ended() {
                 self.ended = None;
             }
-            // It makes the same again; and the job's own tasks may be reading it.
+            // Its outputs are kept: it will make the same ones again, and the job's own tasks may be reading them.
             return released;
         }
         let shape = shape!(self, frame);
@@ -523,7 +527,7 @@ impl Job {
         released
     }
 
-    /// A frame that had ended without a result is tried again: what the job's own stages may have made without it is not all.
+    /// Restarts the job's own stages if they may have been done without a blocked frame that is now retried.
     fn fill_gaps(&mut self) -> Vec<Digest> {
         if !self.spec.graph.has_gaps() {
             return Vec::new();
@@ -559,13 +563,13 @@ impl Job {
             }
             Control::RetryFrames(frames) => return self.frames_retried(frames),
             Control::Priority(priority) => self.spec.priority = *priority,
-            // A fact of its own: the job is forgotten.
+            // Deletion is a separate fact: `Forgotten`.
             Control::Delete => {}
         }
         Vec::new()
     }
 
-    /// What has failed of these frames is forgotten.
+    /// Discards the failures of these frames.
     fn frames_retried(&mut self, frames: &[u32]) -> Vec<Digest> {
         let mut have_gaps = false;
         for &frame in frames {
@@ -585,14 +589,14 @@ impl Job {
         released
     }
 
-    /// Only a retry can move the frame.
+    /// Blocks the frame until a retry.
     fn block(&mut self, frame: u32) {
         if self.blocked.insert(frame) {
             self.note_left(frame, false);
         }
     }
 
-    /// The frame may move again; returns whether it could not.
+    /// Unblocks the frame. Returns whether it was blocked.
     fn unblock(&mut self, frame: u32) -> bool {
         let was_blocked = self.blocked.remove(&frame);
         if was_blocked {
@@ -601,7 +605,7 @@ impl Job {
         was_blocked
     }
 
-    /// What its frames of this content share cannot be done: those of which this holds are blocked.
+    /// Blocks its frames of this content for which `is_of_it` holds, because the shared job of the content is stuck.
     pub(super) fn block_for_shared(&mut self, key: &Digest, is_of_it: impl Fn(u32) -> bool, now: Tick) {
         if !self.needs(key) {
             return;
@@ -616,7 +620,7 @@ impl Job {
         self.note_end(now);
     }
 
-    /// The blocked frames that wait for nothing but what they share by this content.
+    /// Returns the frames of this content that are blocked only by the shared job.
     pub(crate) fn frames_blocked_by_shared(&self, key: &Digest) -> impl Iterator<Item = u32> + use<'_> {
         let key = *key;
         let has_trouble = |frame| self.units.get(frame).is_some_and(|unit| unit.quarantined().next().is_some());
@@ -624,7 +628,7 @@ impl Job {
         blocked.filter(move |frame| !has_trouble(frame)).copied()
     }
 
-    /// What its frames of this content share is tried again: what waits for nothing else may move.
+    /// Unblocks the frames that were blocked only by the shared job of this content, which is retried.
     pub(super) fn unblock_for_shared(&mut self, key: &Digest) -> Vec<Digest> {
         let frames: Vec<u32> = self.frames_blocked_by_shared(key).collect();
         if frames.is_empty() {
@@ -641,7 +645,7 @@ impl Job {
         released
     }
 
-    /// Notes that nothing of the frame can move, and, where all frames have ended, the same of the job's own stages.
+    /// Blocks the frame if none of its tasks can run. If all frames have ended, does so for the job's own stages, too.
     fn note_block(&mut self, frame: u32) {
         let unit = self.units.get(&frame).filter(|_| frame != Stage::OF_JOB);
         if unit.is_some_and(|unit| unit.is_blocked(&self.shape(frame))) {
@@ -660,7 +664,7 @@ impl Job {
             self.ended = Some(now);
             self.is_unannounced = self.announces;
         }
-        // What was paused and came to its end all the same is not held when something of it is lost later.
+        // A paused job that is done must not stay paused if one of its results is lost later.
         if self.is_done() {
             self.hold = Hold::Free;
         }
@@ -673,7 +677,7 @@ impl Job {
         self.finished.values().flat_map(Finished::artifacts).for_each(see);
     }
 
-    /// Whether this completion is the one that the ledger holds.
+    /// Checks whether the ledger holds this completion.
     pub(crate) fn holds(&self, task: &TaskKey, epoch: Epoch) -> bool {
         if let Some(finished) = self.finished.get(&task.stage.frame) {
             return finished.last == (task.stage, task.index, epoch);
@@ -684,7 +688,7 @@ impl Job {
     }
 }
 
-/// The record of a frame all of whose stages are done.
+/// Creates the record of a frame whose stages are all done.
 fn finished(shape: &Shape<'_>, unit: &Unit, frame: u32, last: (Stage, u32, Epoch), now: Tick) -> Finished {
     let is_read = |place: Place, output: &Output| {
         let mut beyond = shape.graph.readers(place.1).filter(|(reader, _)| shape.template(*reader).is_none());

@@ -1,4 +1,4 @@
-//! The durable half of the scheduler: what is asked for, what is done, what has failed.
+//! The durable half of the scheduler: the jobs, their finished tasks, and their failures.
 
 mod hints;
 mod job;
@@ -20,7 +20,7 @@ pub(crate) use side_tables::SideTables;
 pub use snapshot::SnapshotError;
 pub(crate) use unit::Unit;
 
-/// All jobs. Changes by [`Ledger::apply`] alone: same facts, same ledger.
+/// All jobs. Only [`Ledger::apply`] changes it: the same facts give the same ledger.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
     pub(crate) incarnation: u32,
@@ -28,41 +28,41 @@ pub struct Ledger {
     last_job: u64,
     last_shared: u64,
     keys: BTreeMap<String, JobId>,
-    /// Of people, and behind them what they share.
+    /// Submitted jobs, followed by shared jobs.
     pub(crate) jobs: BTreeMap<JobId, Job>,
-    /// What jobs share, by content and build.
+    /// Shared jobs by content and build.
     shared: BTreeMap<Shared, JobId>,
     pub(crate) side: SideTables,
 }
 
 impl Ledger {
-    /// The number that the next job gets.
+    /// Returns the number of the next job.
     pub(crate) fn next_job(&self) -> JobId {
         JobId(self.last_job + 1)
     }
 
-    /// The job that was submitted with this key.
+    /// Returns the job that was submitted with this key.
     pub fn job_of_key(&self, key: &str) -> Option<JobId> {
         self.keys.get(key).copied()
     }
 
-    /// The highest incarnation that a fact tells of.
+    /// Returns the highest incarnation in the facts so far.
     pub fn incarnation(&self) -> u32 {
         self.incarnation
     }
 
-    /// Incarnations up to this one have been, also where the facts that told of them are lost: the next one is another.
+    /// Raises the incarnation: incarnations up to this one have existed, even if their facts are lost, so the next one is greater.
     pub fn outlive(&mut self, incarnation: u32) {
         self.incarnation = self.incarnation.max(incarnation);
     }
 
-    /// The time of the last fact.
+    /// Returns the time of the last fact.
     pub fn now(&self) -> Tick {
         self.now
     }
 
-    /// Changes the ledger; returns the artifacts that it may name no longer: [`Self::unreferenced`] tells. A fact about what
-    /// is not there changes nothing.
+    /// Applies a fact. Returns artifacts that have lost a reference; [`Self::unreferenced`] tells which of them have no other. A
+    /// fact about an unknown object changes nothing.
     pub fn apply(&mut self, fact: &Fact, now: Tick) -> Vec<Digest> {
         self.now = self.now.max(now);
         let (job, released) = match fact {
@@ -149,7 +149,7 @@ impl Ledger {
             Fact::Restarted { job, frame } => {
                 self.side.unbuilt(*job, *frame);
                 let released = self.jobs.get_mut(job).map(|job| job.restarted(*frame));
-                // Any build may do it now, and one of them cannot.
+                // Any build may render the frame now, and the shared job of one build is stuck.
                 let key = self.jobs.get(job).and_then(|job| job.content(*frame));
                 if let Some(key) = key.filter(|key| self.shared_by(key).any(|(.., shared)| shared.is_stuck()))
                     && let Some(job) = self.jobs.get_mut(job)
@@ -172,8 +172,8 @@ impl Ledger {
         released.unwrap_or_default()
     }
 
-    /// What jobs share cannot be done: their frames that need it are blocked; or it is tried again, and they are not. Returns what
-    /// is named no longer.
+    /// Blocks the frames that need a shared job if it is stuck, or unblocks them when it is retried. Returns artifacts that have
+    /// lost a reference.
     fn spread_shared_state(&mut self, id: JobId, is_retry: bool, now: Tick) -> Vec<Digest> {
         let mut released = Vec::new();
         let Some(job) = self.jobs.get(&id) else { return released };
@@ -190,40 +190,41 @@ impl Ledger {
         released
     }
 
-    /// The number that what jobs share gets next.
+    /// Returns the number of the next shared job.
     pub(crate) fn next_shared(&self) -> JobId {
         JobId::shared(self.last_shared + 1)
     }
 
-    /// What was begun for a content, by each build of the engine.
+    /// Returns the shared jobs of a content, with their builds of the engine.
     pub(crate) fn shared_by<'a>(&'a self, key: &Digest) -> impl Iterator<Item = (&'a str, JobId, &'a Job)> + use<'a> {
         let (first, key) = (Shared { key: *key, engine: String::new() }, *key);
         let all = self.shared.range(first..).take_while(move |(shared, _)| shared.key == key);
         all.filter_map(|(shared, id)| Some((&*shared.engine, *id, self.jobs.get(id)?)))
     }
 
-    /// What was begun for a content by a build of the engine.
+    /// Returns the shared job of a content and a build of the engine.
     pub(crate) fn shared_of<'a>(&'a self, key: &Digest, engine: &str) -> Option<(JobId, &'a Job)> {
         let (_, id, job) = self.shared_by(key).find(|(build, ..)| *build == engine)?;
         Some((id, job))
     }
 
-    /// All that jobs share.
+    /// Returns all shared jobs.
     pub(crate) fn all_shared(&self) -> impl Iterator<Item = (JobId, &Job)> {
         self.jobs.range(JobId::shared(0)..).map(|(&id, job)| (id, job))
     }
 
-    /// The jobs of people.
+    /// Returns the submitted jobs, without shared jobs.
     pub(crate) fn of_people(&self) -> impl Iterator<Item = (JobId, &Job)> {
         self.jobs.range(..JobId::shared(0)).map(|(&id, job)| (id, job))
     }
 
-    /// The processes of which some presumed death counts.
+    /// Returns the processes with a presumed death that counts.
     pub(crate) fn presumed_dead(&self) -> BTreeSet<u64> {
         self.jobs.values().flat_map(|job| job.units.values()).flat_map(Unit::presumed_dead).collect()
     }
 
-    /// Those of `digests` that nothing names, each once. Walks all that is named: for many digests at a time.
+    /// Returns those of `digests` that are not referenced, without duplicates. Visits all references, so call it for many digests
+    /// at a time.
     pub fn unreferenced(&self, digests: Vec<Digest>) -> Vec<Digest> {
         if digests.is_empty() {
             return digests;
@@ -235,13 +236,13 @@ impl Ledger {
         left.into_iter().collect()
     }
 
-    /// Every artifact that is named: what is not, may go.
+    /// Visits every referenced artifact. All others may be removed.
     fn each_artifact(&self, mut see: impl FnMut(Digest)) {
         self.jobs.values().for_each(|job| job.each_artifact(&mut see));
         self.side.each_artifact(see);
     }
 
-    /// Every artifact that is named: scenes, frames in work, finished frames, logs.
+    /// Returns every referenced artifact: scenes, outputs of frames in progress, finished frames, logs.
     pub fn references(&self) -> BTreeSet<Digest> {
         let mut all = BTreeSet::new();
         self.each_artifact(|digest| {
@@ -250,14 +251,14 @@ impl Ledger {
         all
     }
 
-    /// What the frames in work need that is made already, with job and frame.
+    /// Returns the existing artifacts that frames in progress need, with job and frame.
     pub fn inputs(&self) -> impl Iterator<Item = (JobId, u32, Digest)> {
         let units =
             self.jobs.iter().flat_map(|(&id, job)| job.units.iter().map(move |(&number, unit)| (id, number, unit)));
         units.flat_map(|(id, number, unit)| unit.artifacts().map(move |digest| (id, number, digest)))
     }
 
-    /// The scenes of all jobs: what each of them names belongs to the job, too.
+    /// Returns the scenes of all jobs. The artifacts that a scene lists belong to the job, too.
     pub fn scenes(&self) -> BTreeSet<Digest> {
         self.jobs.values().map(|job| job.spec.bundle).collect()
     }

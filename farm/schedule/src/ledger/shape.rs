@@ -1,4 +1,4 @@
-//! What the stages of a frame, or of the job as a whole, look like: who reads whom.
+//! The stages of a frame, or of the job as a whole, and which stages read which.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -7,10 +7,10 @@ use femc_model::{Cut, Grains, Graph, Input, Loop, Need, Reach, Round, Scope, Sta
 
 use super::job::Finished;
 
-/// A stage in one round: the round, and the stage's number.
+/// A stage in one round: the number of the round, and of the stage.
 pub(crate) type Place = (u32, u16);
 
-/// The part of a job's graph that a frame has, or the job as a whole, and what that part can see beyond itself.
+/// The part of a job's graph that belongs to a frame, or to the job as a whole, with the state of the frames that it reads.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shape<'a> {
     pub(crate) graph: &'a Graph,
@@ -24,7 +24,7 @@ pub(crate) struct Shape<'a> {
 }
 
 impl<'a> Shape<'a> {
-    /// The scope of a frame number.
+    /// Returns the scope of a frame number.
     pub(crate) fn scope_of(frame: u32) -> Scope {
         if frame == Stage::OF_JOB { Scope::Job } else { Scope::Frame }
     }
@@ -33,7 +33,7 @@ impl<'a> Shape<'a> {
         self.graph.stage(number).filter(|template| template.scope == self.scope)
     }
 
-    /// How the tasks of a stage are numbered, where each takes the steps planned or these.
+    /// Returns the numbering of the sample chunks of a stage: with the planned steps, or with those of `uneven`.
     pub(super) fn grains(&self, (round, number): Place, uneven: Option<&'a Uneven>) -> Option<Grains<'a>> {
         let template = self.template(number)?;
         Some(Grains::of(template, round, uneven.filter(|_| template.kind.is_cut()), self.cut))
@@ -47,18 +47,19 @@ impl<'a> Shape<'a> {
         self.template(number).is_some_and(|template| template.kind.is_cut())
     }
 
-    /// The first stage of the loop whose tasks are cut: a decision may give each of them its own steps.
+    /// Returns the first stage of the loop whose tasks are divided into sample chunks. A decision may give each of its tasks its
+    /// own steps.
     pub(super) fn main(&self) -> Option<(u16, &'a Template)> {
         self.graph.of(self.scope).find(|(number, template)| template.kind.is_cut() && self.is_looped(*number))
     }
 
-    /// Whether another round may follow this one.
+    /// Checks whether another round may follow this one.
     pub(crate) fn may_go_on(&self, round: u32) -> bool {
         self.around.is_some_and(|(_, Loop { rounds, .. })| round + 1 < rounds)
     }
 
-    /// The rounds of another stage of the scope that a stage reads in one of its own.
-    /// - `current`: the round that the loop is in, or the last one where it is over.
+    /// Returns the rounds of another stage of the scope that a stage reads in one of its rounds.
+    /// - `current`: present round of the loop, or its last round if it is over.
     pub(super) fn rounds_read(&self, (round, number): Place, need: &Need, current: u32) -> Range<u32> {
         let one = |round: u32| round..round + 1;
         match need.round {
@@ -70,24 +71,25 @@ impl<'a> Shape<'a> {
         }
     }
 
-    /// Whether a stage of another scope reads a stage of this one in this round.
-    /// - `current`: the round that the loop is in, or the last one where it is over.
+    /// Checks whether a stage of another scope reads this stage in this round.
+    /// - `current`: present round of the loop, or its last round if it is over.
     pub(super) fn is_read_beyond(&self, (round, number): Place, need: &Need, current: u32) -> bool {
         need.round == Round::Every || !self.is_looped(number) || round == current
     }
 
-    /// The tasks of another stage of the scope that a task reads.
+    /// Returns the tasks of another stage of the scope that a task reads.
     pub(super) fn items_read(&self, item: u32, need: &Need) -> Range<u32> {
         self.reached(need.stage, need.reach, item)
     }
 
-    /// The tasks of a stage that are so far from a task.
+    /// Returns the tasks of a stage within this reach of a task.
     pub(super) fn reached(&self, stage: u16, far: Reach, item: u32) -> Range<u32> {
         let tasks = self.graph.stage(stage).map_or(0, Template::tasks);
         reach(far, item, tasks)
     }
 
-    /// The places in a stage's row of frames that a task of the job reads of a stage of frames, counted through.
+    /// Returns the tasks of a frame's stage that a task of the job reads, numbered through all frames, and the number of tasks per
+    /// frame.
     pub(super) fn counted(&self, item: u32, need: &Need) -> (u32, Range<u64>) {
         let tasks = self.graph.stage(need.stage).map_or(1, Template::tasks).max(1);
         let all = u64::from(tasks) * self.frames.len() as u64;
@@ -100,7 +102,7 @@ impl<'a> Shape<'a> {
         (tasks, range.start.min(all)..range.end.min(all))
     }
 
-    /// The tasks of the job that read a frame by this need; `None`: it is not of frames.
+    /// Returns the tasks of the job that read a frame through this need; `None`: the need is not of a frame's stage.
     pub(super) fn reads_frame(&self, reader: u16, need: &Need, frame: u32) -> Option<Range<u32>> {
         let (made, tasks) = (self.graph.stage(need.stage)?, self.template(reader)?.tasks());
         let place = self.frames.binary_search(&frame).ok().filter(|_| made.scope != self.scope)? as u64;
@@ -114,7 +116,7 @@ impl<'a> Shape<'a> {
         Some(start.min(tasks.into()) as u32..end.min(tasks.into()) as u32)
     }
 
-    /// What a task of the job reads of frames, of those that are finished, in their order.
+    /// Returns the inputs of a task of the job that come from finished frames, in the order of the frames.
     pub(super) fn inputs_of_frames(&self, number: u16, item: u32, need: &Need) -> Vec<Input> {
         let (tasks, range) = self.counted(item, need);
         let places = (range.start / u64::from(tasks)) as usize..range.end.div_ceil(u64::from(tasks)) as usize;
@@ -130,7 +132,7 @@ impl<'a> Shape<'a> {
         inputs
     }
 
-    /// Whether what a task of the job reads of frames is there, as far as it ever will be.
+    /// Checks whether the frames that a task of the job reads are finished, or, where gaps are allowed, blocked.
     pub(super) fn are_frames_there(&self, item: u32, need: &Need) -> bool {
         let is_there = |frame: &u32| self.finished.contains_key(frame) || (need.gaps && self.blocked.contains(frame));
         let (tasks, range) = self.counted(item, need);
@@ -144,7 +146,7 @@ impl<'a> Shape<'a> {
     }
 }
 
-/// The tasks, of so many, that a task reads.
+/// Returns those of `tasks` tasks that a task reads.
 fn reach(reach: Reach, item: u32, tasks: u32) -> Range<u32> {
     match reach {
         Reach::All => 0..tasks,
@@ -154,7 +156,7 @@ fn reach(reach: Reach, item: u32, tasks: u32) -> Range<u32> {
     }
 }
 
-/// The tasks, of so many, that read a task.
+/// Returns those of `readers` tasks that read a task.
 pub(super) fn read_by(reach: Reach, item: u32, readers: u32) -> Range<u32> {
     let one = |item: u32| item.min(readers)..item.saturating_add(1).min(readers);
     match reach {

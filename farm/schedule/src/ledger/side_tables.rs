@@ -1,4 +1,4 @@
-//! What the ledger keeps beside its jobs: drained workers, logs, builds, usage by owner.
+//! Tables of the ledger beside its jobs: drained workers, logs, builds, usage by owner.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -10,13 +10,13 @@ use crate::Used;
 /// The ledger's tables beside its jobs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct SideTables {
-    /// Workers that an operator has drained, by their process, the latest at the end.
+    /// Processes of workers that an operator has drained, the latest at the end.
     drained: Vec<u64>,
     /// Stored logs of attempts, oldest first.
     logs: BTreeMap<JobId, VecDeque<LogRecord>>,
-    /// Frames in work of which some result counts, and the build of the engine that made it.
+    /// Frames in progress with results that count, and the build of the engine that made these.
     builds: BTreeMap<JobId, BTreeMap<u32, String>>,
-    /// What owners have used.
+    /// Used time by owner.
     used: BTreeMap<String, Used>,
     /// Usage by month and owner.
     #[serde(deserialize_with = "femc_model::since_version_11")]
@@ -24,23 +24,24 @@ pub(crate) struct SideTables {
 }
 
 impl SideTables {
-    /// Most workers that are remembered as drained: processes end, and nobody says that they will not come back.
+    /// Maximum number of drained workers in the table. It is limited because processes end without notice that they will not come
+    /// back.
     const DRAINED: usize = 4096;
 
-    /// Most logs of a job.
+    /// Maximum number of logs of a job.
     const LOGS: usize = 512;
 
-    /// First failures of a job whose logs stay, however many follow: they often tell the cause of the others.
+    /// Number of a job's first failures whose logs are always kept: they often show the cause of later failures.
     const FIRST_FAILURES: usize = 64;
 
-    /// Most owners without a job of whom it is remembered what they have used.
+    /// Maximum number of owners without a job whose used time is kept.
     const ABSENT: usize = 4096;
 
-    /// Most rows of usage that are kept: with 100 owners, those of 54 years.
+    /// Maximum number of rows of usage: with 100 owners, 54 years.
     const METERED: usize = 1 << 16;
 
-    /// What owners have used; those who have used the least are forgotten where too many have no job any more.
-    /// - `present`: who has jobs.
+    /// Stores the used time of these owners. If too many owners have no job, removes those with the lowest virtual time.
+    /// - `present`: returns the owners with jobs.
     pub(super) fn note_used<'a>(&mut self, owners: &[(String, Used)], present: impl Fn() -> BTreeSet<&'a str>) {
         self.used.extend(owners.iter().cloned());
         if self.used.len() <= Self::ABSENT {
@@ -55,12 +56,12 @@ impl SideTables {
         }
     }
 
-    /// What owners have used, as far as it is durable.
+    /// Returns the durable used time by owner.
     pub(crate) fn used(&self) -> &BTreeMap<String, Used> {
         &self.used
     }
 
-    /// Replaces the usage of these owners and months. Beyond the limit the earliest months go.
+    /// Replaces the usage of these owners and months. Beyond the limit, the earliest months are removed.
     pub(super) fn meter(&mut self, usage: &[OwnerUsage]) {
         self.metered.extend(usage.iter().map(|row| ((row.month, row.owner.clone()), row.sums)));
         while self.metered.len() > Self::METERED {
@@ -68,12 +69,12 @@ impl SideTables {
         }
     }
 
-    /// Usage of an owner in a month, as far as it is durable.
+    /// Returns the durable usage of an owner in a month.
     pub(crate) fn metered_of(&self, month: Month, owner: &str) -> UsageSums {
         self.metered.get(&(month, owner.to_owned())).copied().unwrap_or_default()
     }
 
-    /// Usage by month and owner, as far as it is durable.
+    /// Returns the durable usage by month and owner.
     pub(crate) fn metered(&self) -> impl Iterator<Item = OwnerUsage> + '_ {
         self.metered.iter().map(|((month, owner), sums)| OwnerUsage {
             month: *month,
@@ -86,7 +87,7 @@ impl SideTables {
         self.builds.entry(job).or_default().insert(frame, engine.to_owned());
     }
 
-    /// The frame is finished, or begins anew.
+    /// Removes the build of a frame that is finished or restarts.
     pub(super) fn unbuilt(&mut self, job: JobId, frame: u32) {
         let Some(frames) = self.builds.get_mut(&job) else { return };
         frames.remove(&frame);
@@ -95,18 +96,18 @@ impl SideTables {
         }
     }
 
-    /// The build that a frame's results come from, if there are any.
+    /// Returns the build that made a frame's results, if there are any.
     pub(crate) fn build_of(&self, job: JobId, frame: u32) -> Option<&str> {
         self.builds.get(&job)?.get(&frame).map(String::as_str)
     }
 
-    /// The frames of a job that have a build.
+    /// Returns the frames of a job that have a build.
     pub(crate) fn builds_of(&self, job: JobId) -> impl Iterator<Item = (u32, &str)> + '_ {
         self.builds.get(&job).into_iter().flatten().map(|(&frame, build)| (frame, build.as_str()))
     }
 
-    /// Keeps a log; returns what is named no longer. Logs of attempts that went well go first; of failures the first stay, and the
-    /// latest.
+    /// Stores a log. Returns artifacts that are no longer referenced. Beyond the limit, logs of successful attempts are removed
+    /// first. Of the failures, the first ones and the latest ones are kept.
     pub(super) fn log(&mut self, record: &LogRecord) -> Vec<Digest> {
         let logs = self.logs.entry(record.task.job).or_default();
         logs.push_back(record.clone());
@@ -118,7 +119,7 @@ impl SideTables {
         logs.remove(oldest).iter().filter_map(stored).collect()
     }
 
-    /// Keeps nothing of a job any longer.
+    /// Removes everything about a job.
     pub(super) fn forget(&mut self, job: JobId) {
         self.logs.remove(&job);
         self.builds.remove(&job);

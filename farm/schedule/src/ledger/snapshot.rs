@@ -1,4 +1,4 @@
-//! The ledger and its facts as bytes: a version, and the rest in postcard.
+//! Encoding of the ledger and its facts: a version byte, and the rest in postcard.
 
 use femc_model::{Tick, reading_version};
 use serde::{Deserialize, Serialize};
@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use super::Ledger;
 use crate::Fact;
 
-/// A snapshot that cannot be read.
+/// Error of decoding a snapshot, a fact or a note.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SnapshotError {
-    /// Written by another version.
+    /// Another version wrote it.
     #[error(
         "the farm's log is of version {found}, and this program reads versions {} to {}: finish its jobs with the program that \
          wrote it, or begin with a new log",
@@ -17,30 +17,30 @@ pub enum SnapshotError {
         Ledger::VERSION
     )]
     Version {
-        /// What its first byte says.
+        /// Version in its first byte.
         found: u8,
     },
-    /// Attempts that another version noted.
+    /// Another version recorded these attempts.
     #[error(
         "attempts were noted in version {found}, and this program reads version {} only: they are left out of its reports",
         crate::attempts::VERSION
     )]
     NoteVersion {
-        /// What the note's first byte says.
+        /// Version in the note's first byte.
         found: u8,
     },
-    /// A roster of workers that another version noted.
+    /// Another version recorded this roster of workers.
     #[error(
         "workers were noted in version {found}, which this program does not read: they are known again when they come"
     )]
     RosterVersion {
-        /// What the note's first byte says.
+        /// Version in the note's first byte.
         found: u8,
     },
-    /// Not what [`Ledger::encode`] writes.
+    /// The bytes are not an encoding of [`Ledger::encode`].
     #[error("snapshot or fact is damaged: {0}")]
     Damaged(#[from] postcard::Error),
-    /// No bytes at all.
+    /// There are no bytes.
     #[error("snapshot or fact is empty")]
     Empty,
 }
@@ -48,34 +48,34 @@ pub enum SnapshotError {
 impl Ledger {
     /// First byte of snapshots and of facts.
     pub const VERSION: u8 = 11;
-    /// Earliest version that is read.
+    /// Earliest version that can be read.
     pub const OLDEST_VERSION: u8 = 8;
 
-    /// Version and content, for a snapshot.
+    /// Encodes version and content, for a snapshot.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
         encode(self)
     }
 
-    /// What [`Self::encode`] wrote.
+    /// Decodes the bytes of [`Self::encode`].
     pub fn decode(bytes: &[u8]) -> Result<Self, SnapshotError> {
         decode(bytes)
     }
 }
 
 impl Fact {
-    /// Version, time and content, for the log.
+    /// Encodes version, time and content, for the log.
     pub fn encode(&self, now: Tick) -> Result<Vec<u8>, SnapshotError> {
         encode(&(now, self))
     }
 
-    /// What [`Self::encode`] wrote.
+    /// Decodes the bytes of [`Self::encode`].
     pub fn decode(bytes: &[u8]) -> Result<(Tick, Self), SnapshotError> {
         decode(bytes)
     }
 }
 
 fn encode(value: &impl Serialize) -> Result<Vec<u8>, SnapshotError> {
-    // A fact mostly fits.
+    // Enough for most facts.
     let mut bytes = Vec::with_capacity(128);
     bytes.push(Ledger::VERSION);
     Ok(postcard::to_extend(value, bytes)?)

@@ -1,4 +1,4 @@
-//! What went wrong with a task that is not done.
+//! Failures of an unfinished task.
 
 use std::collections::BTreeSet;
 
@@ -7,20 +7,21 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Casualty, Evidence};
 
-/// Attempts after which a task is put aside. A constant of the ledger, so that a log means the same to every program.
+/// Number of failed attempts after which a task is quarantined. It is a constant of the ledger, so that a log means the same to
+/// every program.
 const ATTEMPTS: u32 = 3;
 
-/// Deaths of workers after which a task is put aside.
+/// Number of deaths of workers after which a task is quarantined.
 const DEATHS: usize = 5;
 
-/// Failed attempts of a task that is not done, and workers that died of it.
+/// Failed attempts of an unfinished task, and the deaths of workers that computed it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Trouble {
     attempts: u32,
-    /// The latest at the end; of each lease one.
+    /// Deaths, one per lease, the latest at the end.
     deaths: Vec<Casualty>,
     pub(crate) failure: Failure,
-    /// Leases up to this one are over, of whatever they are told later.
+    /// Epoch up to which leases are over, whatever their workers report later.
     until: Epoch,
 }
 
@@ -33,19 +34,20 @@ impl Trouble {
         self.attempts >= ATTEMPTS || self.is_deadly()
     }
 
-    /// Deaths that are only presumed may be one machine's own: they count beside those of another.
+    /// Checks whether the task has killed too many workers. Five known deaths are enough. If some of the five are only presumed,
+    /// they must be of more than one worker, because a single machine may be the cause.
     fn is_deadly(&self) -> bool {
         let known = self.deaths.iter().filter(|death| death.evidence == Evidence::Journal).count();
         let workers: BTreeSet<&str> = self.deaths.iter().map(|death| death.worker.as_str()).collect();
         known >= DEATHS || (self.deaths.len() >= DEATHS && workers.len() > 1)
     }
 
-    /// How often it was tried, with whatever came of it.
+    /// Returns the number of tries: failed attempts and deaths.
     pub(crate) fn tries(&self) -> u32 {
         self.attempts + self.deaths.len() as u32
     }
 
-    /// Whether this lease was over when the last failure was counted: what its worker has to say was heard.
+    /// Checks whether this lease was over when the last failure was counted.
     pub(super) fn is_over(&self, epoch: Epoch) -> bool {
         epoch <= self.until
     }
@@ -61,7 +63,7 @@ impl Trouble {
             Some(known) => known.evidence = known.evidence.max(casualty.evidence),
             None => self.deaths.push(casualty.clone()),
         }
-        // Of one worker alone they put nothing aside, however many: a few tell as much.
+        // Deaths of a single worker never quarantine a task, so a limited number of them is enough.
         let oldest = || self.deaths.iter().position(|death| death.evidence == Evidence::Presumed);
         if self.deaths.len() > 2 * DEATHS
             && let Some(oldest) = oldest()
@@ -71,7 +73,7 @@ impl Trouble {
         self.failure = Failure::Killed { deaths: self.deaths.len() as u32, worker: casualty.worker.clone() };
     }
 
-    /// A process lives: what is not put aside yet has not killed it. Returns whether anything is left.
+    /// Withdraws the presumed deaths of a living process, unless the task is quarantined. Returns whether any trouble remains.
     pub(super) fn lives(&mut self, instance: u64) -> bool {
         if self.is_quarantined() {
             return true;
@@ -81,7 +83,7 @@ impl Trouble {
         self.deaths.len() == before || self.tries() > 0
     }
 
-    /// Processes of which a presumed death counts.
+    /// Returns the processes with a presumed death that counts.
     pub(super) fn presumed_dead(&self) -> impl Iterator<Item = u64> + '_ {
         self.deaths.iter().filter(|death| death.evidence == Evidence::Presumed).map(|death| death.instance)
     }

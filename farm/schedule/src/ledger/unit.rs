@@ -1,4 +1,4 @@
-//! A frame in work, or the job's own stages: what is done of each stage, and what went wrong.
+//! Frame progress: the finished runs and the failures of each stage of a frame, or of the job's own stages.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -15,30 +15,30 @@ use super::shape::{Place, Shape, read_by};
 use super::trouble::Trouble;
 use crate::{Casualty, RangeSet};
 
-/// A run of grains that is done, and the lease that did it.
+/// A finished run of sample chunks, with its lease.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
     end: u32,
     epoch: Epoch,
-    /// Those that are needed yet; mostly there is one.
+    /// Outputs that are still needed, in most cases one.
     outputs: SmallVec<[Output; 1]>,
 }
 
-/// What is done of a stage in one round.
+/// Finished work of a stage in one round.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Array {
-    /// Runs of grains of whose outputs some are needed yet, by their first key.
+    /// Finished runs with outputs that are still needed, by their first key.
     rows: BTreeMap<u32, Row>,
-    /// Grains that are done and of whose outputs none is needed any more.
+    /// Finished sample chunks whose outputs are no longer needed.
     released: RangeSet,
-    /// Bad samples of the runs that have any, by their first key.
+    /// Number of bad samples of the runs that have any, by their first key.
     bad: BTreeMap<u32, u64>,
-    /// Tasks of which all is done.
+    /// Tasks that are completely done.
     whole: RangeSet,
 }
 
 impl Array {
-    /// Before anything of it is done: a task without steps has nothing to do.
+    /// Creates the state before any work is done. Tasks without steps count as done.
     fn fresh(grains: &Grains<'_>) -> Self {
         let is_idle = |task: &u32| grains.of_task(*task).is_empty();
         let mut whole = RangeSet::default();
@@ -61,38 +61,38 @@ impl Array {
             || done + keys.filter(|&key| self.released.contains(key)).count() == grains.of_task(task).len()
     }
 
-    /// Whether some of these grains are done.
+    /// Checks whether some of these sample chunks are done.
     fn holds_any(&self, run: &Range<u32>) -> bool {
         let before = self.rows.range(..run.end).next_back();
         before.is_some_and(|(_, row)| row.end > run.start) || self.released.touches(run)
     }
 }
 
-/// A frame of which something is done or has failed; or the job's own stages.
+/// Progress of a frame with a result or failure, or of the job's own stages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Unit {
-    /// Round of its loop.
+    /// Present round of its loop.
     pub(crate) round: u32,
     /// Whether its loop is over, or it has none.
     is_over: bool,
-    /// First lease of a task that was completed.
+    /// Time of the first lease of a completed task.
     pub(crate) began: Tick,
     arrays: BTreeMap<Place, Array>,
-    /// Steps of the rounds in which tasks differ.
+    /// Steps of the rounds in which they differ between tasks.
     uneven: BTreeMap<u32, Uneven>,
-    /// By stage, round and key. What joins fails in all rounds under one name: so a frame whose inputs are lost again and again
-    /// ends.
+    /// Failures by stage, round and key. Failures of join tasks are counted together for all rounds, so that a frame whose inputs
+    /// are lost again and again ends.
     trouble: BTreeMap<(u16, u32, u32), Trouble>,
-    /// Of the task that decided what followed the round before.
+    /// Epoch of the task that decided how the loop continues after the previous round.
     decided: Option<Epoch>,
-    /// Units of work done, in all rounds.
+    /// Finished units of work in all rounds.
     pub(crate) units: u64,
     pub(crate) bad_samples: u64,
     pub(crate) busy_seconds: f64,
     pub(crate) relative_error: Option<f64>,
     #[serde(deserialize_with = "femc_model::since_version_9")]
     pub(crate) blocks: Option<Blocks>,
-    /// It was finished before, and something of it is gone.
+    /// Whether it was finished before and one of its results was lost.
     pub(crate) is_again: bool,
 }
 
@@ -115,12 +115,12 @@ impl Unit {
         }
     }
 
-    /// A finished one of which something is gone; nobody has begun it again.
+    /// Creates the progress of a formerly finished frame of which a result was lost. It has not begun again.
     pub(super) fn again(shape: &Shape<'_>, record: &FrameRecord) -> Self {
         Self { busy_seconds: record.busy_seconds, is_again: true, ..Self::new(shape, Tick(u64::MAX)) }
     }
 
-    /// It begins anew; what went wrong is remembered.
+    /// Restarts it; its failures are kept.
     pub(super) fn restarted(&mut self, shape: &Shape<'_>) -> Vec<Digest> {
         let released = self.artifacts().collect();
         let trouble = std::mem::take(&mut self.trouble);
@@ -128,7 +128,7 @@ impl Unit {
         released
     }
 
-    /// The stages that there are now, each in its rounds.
+    /// Returns the present stages, each in its rounds.
     pub(crate) fn places(&self, shape: &Shape<'_>) -> impl DoubleEndedIterator<Item = Place> {
         let (around, last, is_over) = (shape.around, self.round, self.is_over);
         let stages = shape.graph.of(shape.scope);
@@ -146,37 +146,37 @@ impl Unit {
         grains(&self.uneven, shape, place)
     }
 
-    /// Whether every task of a stage is done.
+    /// Checks whether every task of a stage is done.
     pub(crate) fn is_complete(&self, shape: &Shape<'_>, place: Place) -> bool {
         let Some(grains) = self.grains(shape, place) else { return false };
         self.arrays.get(&place).is_some_and(|array| array.is_complete(&grains))
     }
 
-    /// Whether all is done.
+    /// Checks whether everything is done.
     pub(super) fn is_finished(&self, shape: &Shape<'_>) -> bool {
         self.is_over && self.places(shape).all(|place| self.is_complete(shape, place))
     }
 
-    /// Tasks of a stage that are done.
+    /// Returns the number of finished tasks of a stage.
     pub(crate) fn tasks_done(&self, place: Place) -> u32 {
         self.arrays.get(&place).map_or(0, |array| array.whole.count())
     }
 
-    /// Whether a task of a stage is done.
+    /// Checks whether a task of a stage is done.
     pub(crate) fn is_done(&self, place: Place, item: u32) -> bool {
         self.are_done(place, item..item + 1)
     }
 
-    /// Whether all of these tasks of a stage are done.
+    /// Checks whether all of these tasks of a stage are done.
     fn are_done(&self, place: Place, items: Range<u32>) -> bool {
         items.is_empty() || self.arrays.get(&place).is_some_and(|array| array.whole.covers(&items))
     }
 
-    /// Whether all that a task reads is there.
+    /// Checks whether all inputs of a task exist.
     pub(crate) fn has_inputs(&self, shape: &Shape<'_>, place: Place, item: u32) -> bool {
         let Some(template) = shape.template(place.1) else { return false };
         template.needs.iter().all(|need| match shape.template(need.stage) {
-            // What frames share is there or not for each worker: see `shared.rs`.
+            // Whether the outputs of a shared job exist depends on the worker: see `shared.rs`.
             None if shape.scope != Scope::Job => true,
             None => shape.are_frames_there(item, need),
             Some(_) => {
@@ -186,8 +186,8 @@ impl Unit {
         })
     }
 
-    /// What a task reads, in order of need, frame and task.
-    /// - `shared`: what is done for the frame's content.
+    /// Returns the inputs of a task, in order of need, frame and task.
+    /// - `shared`: shared job of the frame's content.
     pub(crate) fn inputs(&self, shape: &Shape<'_>, place: Place, item: u32, shared: Option<&Job>) -> Vec<Input> {
         let mut inputs = Vec::new();
         let Some(template) = shape.template(place.1) else { return inputs };
@@ -217,7 +217,7 @@ impl Unit {
         inputs
     }
 
-    /// Steps that each task which is cut has taken in all, of those that the inputs of a task are made of.
+    /// Returns the number of steps taken so far by each divided task that the inputs of a task are made from.
     pub(crate) fn taken(&self, shape: &Shape<'_>, place: Place, item: u32) -> Taken {
         let cut_sources =
             if shape.is_cut(place.1) { None } else { self.cut_sources(shape, place, item..item + 1, &mut 0) };
@@ -228,8 +228,8 @@ impl Unit {
         items.map(|item| grains.steps_of(item).end).collect()
     }
 
-    /// The tasks which are cut that these tasks of a stage are made of, and their stage in its round.
-    /// - `seen`: the stages that were looked at, a bit each.
+    /// Returns the divided tasks that these tasks of a stage are made from, and their stage in its round.
+    /// - `seen`: visited stages, one bit each.
     fn cut_sources(
         &self,
         shape: &Shape<'_>,
@@ -251,14 +251,15 @@ impl Unit {
         })
     }
 
-    /// Whether a result of this run of grains counts: it is of one task, in a round that has begun, and nothing of it is done.
+    /// Checks whether a result of this run of sample chunks would count: the run lies within one task, its round has begun, and
+    /// none of it is done.
     pub(super) fn may_count(&self, shape: &Shape<'_>, place: Place, run: &Range<u32>) -> bool {
         let is_done = || self.arrays.get(&place).is_some_and(|array| array.holds_any(run));
         let is_of_one = |grains: Grains<'_>| !run.is_empty() && run.end <= grains.of_task(grains.task(run.start)).end;
         self.is_place(shape, place) && self.grains(shape, place).is_some_and(is_of_one) && !is_done()
     }
 
-    /// Takes in what was done of a run of grains; what is done already changes nothing. Returns what is needed no longer.
+    /// Enters the result of a run of sample chunks; a repetition changes nothing. Returns artifacts that are no longer needed.
     pub(super) fn done(
         &mut self,
         shape: &Shape<'_>,
@@ -308,7 +309,7 @@ impl Unit {
         released
     }
 
-    /// The loop goes on or is over, if this task closes the round that it is in. Returns whether it does.
+    /// Continues or ends the loop if this task closes the present round. Returns whether it does.
     fn close(
         &mut self,
         shape: &Shape<'_>,
@@ -335,8 +336,8 @@ impl Unit {
         true
     }
 
-    /// Another round begins.
-    /// - `to`: steps that each task has taken at its end; `None`: as planned.
+    /// Begins the next round.
+    /// - `to`: number of steps of each task at the end of the round; `None`: as planned.
     fn next_round(&mut self, shape: &Shape<'_>, to: Option<&[u32]>) {
         self.round += 1;
         let Some((number, template)) = shape.main() else { return };
@@ -346,14 +347,14 @@ impl Unit {
         let planned = vec![template.steps_of(self.round).end; template.tasks() as usize];
         let uneven = self.next_steps(shape, to.unwrap_or(&planned));
         self.uneven.insert(self.round, uneven);
-        // Where nothing is left to do of it, nobody would begin it.
+        // A stage without remaining steps would never be entered by a result.
         let place = (self.round, number);
         if let Some(grains) = grains(&self.uneven, shape, place) {
             self.arrays.insert(place, Array::fresh(&grains));
         }
     }
 
-    /// The steps of the round that begins: none takes back what was done.
+    /// Returns the steps of the next round: never fewer than are already done.
     fn next_steps(&self, shape: &Shape<'_>, to: &[u32]) -> Uneven {
         let main = shape.main();
         let tasks = main.map_or(0, |(_, template)| template.tasks());
@@ -370,7 +371,7 @@ impl Unit {
         Uneven { from, to }
     }
 
-    /// Whether an output of a task is needed by one that is not done, or for good.
+    /// Checks whether an output of a task is a result, or needed by a task that is not done.
     fn is_needed(&self, shape: &Shape<'_>, place: Place, item: u32, role: Role) -> bool {
         role.row().is_result
             || shape.graph.readers(place.1).filter(|(_, need)| need.role == role).any(|(reader, need)| {
@@ -396,8 +397,8 @@ impl Unit {
             })
     }
 
-    /// Lets go of the outputs of these tasks that are needed no longer. A stage reads itself in other rounds
-    /// only, or as a chain, of which nothing is let go of.
+    /// Releases the outputs of these tasks that are no longer needed. A stage reads itself only in other rounds, or as a chain; the
+    /// outputs of a chain are not released.
     fn release_unneeded(&mut self, shape: &Shape<'_>, place: Place, items: Range<u32>, released: &mut Vec<Digest>) {
         let Some((keys, stride)) = self.grains(shape, place).map(|it| (it.of_tasks(&items), it.stride())) else {
             return;
@@ -421,7 +422,7 @@ impl Unit {
         self.arrays.insert(place, array);
     }
 
-    /// The same of what a task has read.
+    /// Releases the inputs of a task that are no longer needed.
     fn release_inputs(&mut self, shape: &Shape<'_>, place: Place, item: u32, released: &mut Vec<Digest>) {
         let needs = shape.template(place.1).map_or(&[][..], |template| &template.needs);
         for need in needs.iter().filter(|need| shape.template(need.stage).is_some()) {
@@ -434,7 +435,7 @@ impl Unit {
         }
     }
 
-    /// The runs of grains of which one of these artifacts is an output that is needed.
+    /// Returns the runs of sample chunks that made one of these artifacts, if it is still needed.
     pub(crate) fn producers(&self, lost: &[Digest]) -> Vec<(Place, u32)> {
         let is_hurt = |row: &Row| row.outputs.iter().any(|output| lost.contains(&output.artifact.digest));
         let rows = self
@@ -444,8 +445,9 @@ impl Unit {
         rows.filter(|(.., row)| is_hurt(row)).map(|(place, first, _)| (place, first)).collect()
     }
 
-    /// Outputs of the run from this key on are gone: it is to be done again, and what it needs for that. Others that it made stay in
-    /// the store, where some task may be reading them: it makes the same again.
+    /// Marks the run that begins with this key as not done, because its outputs are lost, together with the producers of its
+    /// missing inputs. Its other outputs stay in the store, where some task may be reading them; the repetition makes the same
+    /// ones.
     pub(super) fn lost(&mut self, shape: &Shape<'_>, place: Place, first: u32) {
         if let Some(end) = self.arrays.get(&place).and_then(|array| array.rows.get(&first)).map(|row| row.end) {
             self.undo(shape, place, first..end);
@@ -487,7 +489,7 @@ impl Unit {
         }
     }
 
-    /// A task that is done is to be done again, if its output of this role is not there any more.
+    /// Marks a finished task as not done if its output of this role no longer exists.
     fn undo_released(&mut self, shape: &Shape<'_>, place: Place, item: u32, role: Role) {
         let Some(keys) = self.grains(shape, place).map(|grains| grains.of_task(item)) else { return };
         let Some(array) = self.arrays.get(&place) else { return };
@@ -497,7 +499,7 @@ impl Unit {
         }
     }
 
-    /// Those of a stage's keys that are neither done nor put aside.
+    /// Returns the keys of a stage that are neither done nor quarantined.
     pub(crate) fn open_keys(&self, shape: &Shape<'_>, place: Place) -> RangeSet {
         let Some(grains) = self.grains(shape, place).filter(|_| self.is_place(shape, place)) else {
             return RangeSet::default();
@@ -520,7 +522,7 @@ impl Unit {
         open
     }
 
-    /// The tasks that can run, by stage: neither done nor put aside, and all that they read is there.
+    /// Returns the tasks that can run, by stage: neither done nor quarantined, with all inputs.
     pub(crate) fn open(&self, shape: &Shape<'_>) -> Vec<(Place, RangeSet)> {
         let mut all = Vec::new();
         for place in self.places(shape).filter(|&place| !self.is_complete(shape, place)) {
@@ -543,7 +545,7 @@ impl Unit {
         all
     }
 
-    /// The keys of the tasks that can run now that this one is done, by stage.
+    /// Returns the keys of the tasks that can run now that this task is done, by stage.
     pub(crate) fn runnable_after(&self, shape: &Shape<'_>, stage: &Stage, key: u32) -> Vec<(Place, RangeSet)> {
         let mut all = Vec::new();
         let from = (stage.round, stage.number);
@@ -571,7 +573,7 @@ impl Unit {
         all
     }
 
-    /// The keys of the job's own tasks that can run now that this frame has ended, by stage.
+    /// Returns the keys of the job's own tasks that can run now that this frame has ended, by stage.
     pub(crate) fn runnable_after_frame(&self, shape: &Shape<'_>, frame: u32) -> Vec<(Place, RangeSet)> {
         let mut all = Vec::new();
         for place in self.places(shape) {
@@ -587,9 +589,9 @@ impl Unit {
         all
     }
 
-    /// Those of some tasks of a stage that can run, as keys.
+    /// Returns the keys of those of these tasks that can run.
     fn runnable_among(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> RangeSet {
-        // Mostly none of them can.
+        // In most cases none of them can run.
         let mut ready = items.filter(|&item| self.has_inputs(shape, place, item)).peekable();
         let Some(grains) = self.grains(shape, place).filter(|_| ready.peek().is_some()) else {
             return RangeSet::default();
@@ -601,18 +603,18 @@ impl Unit {
         keys
     }
 
-    /// Another attempt at a task has failed.
+    /// Counts a failed attempt of a task.
     pub(super) fn failed(&mut self, stage: &Stage, key: u32, until: Epoch, failure: &Failure) {
         let trouble = self.trouble.entry(name(stage, key)).or_insert_with(|| Trouble::new(failure.clone()));
         trouble.failed(until, failure);
     }
 
-    /// Whether this lease of a task was over when the task's last failure was counted.
+    /// Checks whether this lease of a task was over when the task's last failure was counted.
     pub(crate) fn is_over_for(&self, stage: &Stage, key: u32, epoch: Epoch) -> bool {
         self.trouble.get(&name(stage, key)).is_some_and(|trouble| trouble.is_over(epoch))
     }
 
-    /// A worker died of these tasks, or of one of them.
+    /// Counts the death of a worker for these tasks, one or more of which it died of.
     pub(super) fn died(&mut self, stage: &Stage, keys: impl Iterator<Item = u32>, casualty: &Casualty) {
         for key in keys {
             let failure = Failure::Killed { deaths: 0, worker: String::new() };
@@ -632,38 +634,38 @@ impl Unit {
         self.trouble.clear();
     }
 
-    /// The first key of a run that has failed before.
+    /// Returns the first key of a run that has failed before.
     pub(crate) fn first_trouble(&self, stage: &Stage, run: &Range<u32>) -> Option<u32> {
         let keys = name(stage, run.start)..name(stage, run.end);
         self.trouble.range(keys).next().map(|(&(.., key), _)| key)
     }
 
-    /// Whether a task is put aside.
+    /// Checks whether a task is quarantined.
     pub(crate) fn is_put_aside(&self, stage: &Stage, key: u32) -> bool {
         self.trouble.get(&name(stage, key)).is_some_and(Trouble::is_quarantined)
     }
 
-    /// Tasks of which attempts have failed, by stage, round and key.
+    /// Returns the tasks with failed attempts, by stage, round and key.
     pub(crate) fn troubles(&self) -> impl Iterator<Item = ((u16, u32, u32), &Trouble)> + '_ {
         self.trouble.iter().map(|(&name, trouble)| (name, trouble))
     }
 
-    /// Tasks that are put aside, by stage, round and key.
+    /// Returns the quarantined tasks, by stage, round and key.
     pub(crate) fn quarantined(&self) -> impl Iterator<Item = ((u16, u32, u32), &Trouble)> + '_ {
         self.trouble.iter().filter(|(_, trouble)| trouble.is_quarantined()).map(|(&name, trouble)| (name, trouble))
     }
 
-    /// Whether nothing of it can run without a retry.
+    /// Checks whether none of its tasks can run without a retry.
     pub(super) fn is_blocked(&self, shape: &Shape<'_>) -> bool {
         self.quarantined().next().is_some() && self.open(shape).is_empty()
     }
 
-    /// Everything in the store that it needs.
+    /// Returns all artifacts that it needs.
     pub(crate) fn artifacts(&self) -> impl Iterator<Item = Digest> + '_ {
         self.outputs().map(|(.., output)| output.artifact.digest)
     }
 
-    /// What there is of it, with the stage's place and the first key.
+    /// Returns its existing outputs, with the place of the stage and the first key.
     pub(super) fn outputs(&self) -> impl Iterator<Item = (Place, u32, Output)> + '_ {
         let rows = self
             .arrays
@@ -672,8 +674,8 @@ impl Unit {
         rows.flat_map(|(place, first, row)| row.outputs.iter().map(move |&output| (place, first, output)))
     }
 
-    /// What shows how far it is: results and what may become one, each sample once. What was united with others is spent; what the
-    /// rounds before add up to is left out where this round has it, too.
+    /// Returns the outputs for a preview: results and outputs that may become results, with each sample once. Outputs that were
+    /// merged into others are not needed any more. The sums of earlier rounds are left out if this round includes them.
     pub(crate) fn shown(&self, shape: &Shape<'_>) -> Vec<Output> {
         let is_carried = |(round, number): Place, role: Role| {
             shape.graph.readers(number).any(|(_, need)| (need.role, need.round) == (role, Round::Before))
@@ -689,7 +691,7 @@ impl Unit {
         self.outputs().filter(is_shown).map(|(.., output)| output).collect()
     }
 
-    /// Whether this completion is the one that is held.
+    /// Checks whether it holds this completion.
     pub(super) fn holds(&self, shape: &Shape<'_>, stage: &Stage, key: u32, epoch: Epoch) -> bool {
         let place = (stage.round, stage.number);
         let row = self.arrays.get(&place).and_then(|array| array.rows.get(&key));
@@ -698,15 +700,16 @@ impl Unit {
             && (row.is_some_and(|row| row.epoch == epoch) || has_decided())
     }
 
-    /// The task that decided last: of the round before, or of the last one.
+    /// Returns the task that decided last, which closed the previous round or the last one.
     fn decider(&self, shape: &Shape<'_>) -> Option<(Place, u32)> {
         let (number, _) = shape.around?;
         Some(((self.round.checked_sub(u32::from(!self.is_over))?, number), 0))
     }
 }
 
-/// The rounds of a stage that there are now.
-/// - `around`: the loop of its scope; `last`: the round that this is in.
+/// Returns the present rounds of a stage.
+/// - `around`: loop of its scope;
+/// - `last`: present round of the loop.
 fn rounds_of(number: u16, around: Option<(u16, Loop)>, last: u32, is_over: bool) -> Range<u32> {
     match around {
         Some((end, it)) if (it.first..=end).contains(&number) => 0..last + 1,
@@ -719,13 +722,13 @@ fn grains<'a>(uneven: &'a BTreeMap<u32, Uneven>, shape: &Shape<'a>, place: Place
     shape.grains(place, uneven.get(&place.0).filter(|_| shape.is_looped(place.1)))
 }
 
-/// Whether an output is read by the next round alone.
+/// Checks whether only the next round reads an output.
 fn is_before_only(shape: &Shape<'_>, number: u16, role: Role) -> bool {
     let mut readers = shape.graph.readers(number).filter(|(_, need)| need.role == role).peekable();
     readers.peek().is_some() && readers.all(|(_, need)| need.round == Round::Before)
 }
 
-/// Under what the failures of a task are counted.
+/// Returns the key under which the failures of a task are counted.
 fn name(stage: &Stage, key: u32) -> (u16, u32, u32) {
     (stage.number, if stage.kind.is_cut() { stage.round } else { 0 }, key)
 }

@@ -1,4 +1,4 @@
-//! Usage by owner and month, deleted jobs, and ends that are to be announced.
+//! Tests of usage by owner and month, deleted jobs, and announcements of ends.
 
 use femc_model::*;
 use femc_schedule::*;
@@ -13,7 +13,7 @@ fn of(owner: &str, frames: &[u32], tiles: u32) -> JobSpec {
     JobSpec { owner: owner.into(), ..job(frames, tiles, &[4]) }
 }
 
-/// The worker does its oldest task within `milliseconds`, and says that it took so many processor seconds.
+/// Completes the worker's oldest task after `milliseconds`, and reports `cpu` processor seconds for it.
 fn work(farm: &mut Farm, worker: u64, milliseconds: u64, cpu: f64) {
     let held = farm.first_of(worker);
     farm.wait(milliseconds);
@@ -45,7 +45,7 @@ fn usage_is_what_the_leases_of_an_owner_held_and_what_his_attempts_took() {
     farm.wait(Scheduler::NOTE_SHARES);
     let (ann, bob) = (sums(&farm, "2026-11", "ann"), sums(&farm, "2026-11", "bob"));
     assert_eq!((ann.jobs, ann.frames, bob.jobs, bob.frames), (1, 2, 1, 1));
-    // Three tiles and an image a frame, two tiles and an image.
+    // ann: three tiles and an image per frame; bob: two tiles and an image.
     assert_eq!((ann.tasks, bob.tasks), (8, 3));
     assert_eq!((ann.processor_us, bob.processor_us), (8 * 250_000, 3 * 250_000));
     assert_eq!((ann.worker_ms, bob.worker_ms), (farm.charged["ann"], farm.charged["bob"]));

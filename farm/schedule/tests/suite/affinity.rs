@@ -1,4 +1,4 @@
-//! Scene affinity, a sentence each.
+//! Tests of scene affinity.
 
 use crate::common;
 use crate::common::{Farm, config, job, registration};
@@ -7,12 +7,12 @@ use femc_schedule::*;
 
 use Decision::{Continue, Done};
 
-/// A farm whose workers hold one task at a time.
+/// Creates a farm whose workers hold one task at a time.
 fn farm() -> Farm {
     Farm::with(Config { prefetch: 0, ..config() })
 }
 
-/// Worker 1 does its task in half a second; returns the job and the frame of it.
+/// Completes worker 1's task after half a second; returns the job and the frame of the task.
 fn step(farm: &mut Farm) -> (u64, u32) {
     let held = farm.first_of(1);
     farm.wait(500);
@@ -20,7 +20,7 @@ fn step(farm: &mut Farm) -> (u64, u32) {
     (held.task.job.0, held.task.stage.frame)
 }
 
-/// How often a worker that keeps the latest two has to make a frame ready.
+/// Counts how often a worker that keeps the latest two frames must prepare a frame.
 fn preparations(frames: &[(u64, u32)]) -> usize {
     let (mut kept, mut count) = (Vec::new(), 0);
     for frame in frames {
@@ -41,7 +41,7 @@ fn a_worker_stays_for_half_a_minute_with_the_frames_that_it_has_ready_and_owners
     }
     farm.join(1);
     let done: Vec<(u64, u32)> = (0..600).map(|_| step(&mut farm)).collect();
-    // 300 s; a change at the earliest after 32 s out of turn.
+    // 300 s in all; the worker changes the job at the earliest after 32 s out of turn.
     assert!((3..=20).contains(&preparations(&done)), "{} preparations", preparations(&done));
     for job in 1..=3 {
         let share = done.iter().filter(|(other, _)| *other == job).count() as f64 / 600.0;
@@ -65,7 +65,7 @@ fn a_worker_whose_frame_is_done_goes_on_with_a_scene_that_it_has_read() {
         farm.wait(500);
         farm.complete(1, &held, Done);
     }
-    // In turn it would be 120.
+    // In turn, there would be 120 preparations.
     assert!(preparations(&scenes) <= 40, "{} of {scenes:?}", preparations(&scenes));
 }
 
@@ -124,7 +124,7 @@ fn a_round_that_begins_anew_does_not_call_a_worker_away_from_its_frame() {
     let mut farm = farm();
     farm.submit(job(&(1..=12).collect::<Vec<_>>(), 6, &[4, 8, 12, 16]));
     (1..=4).for_each(|worker| drop(farm.join(worker)));
-    // While a frame is merged the workers begin the next; then there are tiles of its next round.
+    // While a frame is merged, the workers begin the next frame; then there are tiles of the first one's next round.
     let mut frames = Vec::new();
     while let Some((worker, held)) = farm.held.first().cloned() {
         farm.wait(500);
@@ -136,7 +136,7 @@ fn a_round_that_begins_anew_does_not_call_a_worker_away_from_its_frame() {
     assert_eq!(frames.len(), 12 * 6 * 4, "{frames:?}");
     let of = |worker| frames.iter().filter(|(other, _)| *other == worker).copied().collect::<Vec<_>>();
     let sum: usize = (1..=4).map(|worker| preparations(&of(worker))).sum();
-    // 92 by order of frames alone.
+    // In the order of frames alone, there would be 92 preparations.
     assert!(sum <= 70, "{sum} preparations: {frames:?}");
 }
 

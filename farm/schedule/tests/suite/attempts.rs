@@ -1,4 +1,4 @@
-//! What attempts took, a sentence each.
+//! Tests of the records of attempts.
 
 use crate::common::{Farm, job, panic, registration};
 use femc_model::*;
@@ -10,7 +10,7 @@ fn usage(cpu: f64) -> Usage {
     Usage { cpu, wall: 1.0, ..Usage::default() }
 }
 
-/// The worker says what the lease took.
+/// Reports the usage of a worker's lease.
 fn tell(farm: &mut Farm, worker: u64, held: &Assignment, cpu: f64) -> Vec<Command> {
     let report = TaskUsage { task: held.task, epoch: held.epoch, usage: usage(cpu) };
     farm.on(Event::Usage { worker: WorkerId(worker), usage: report })
@@ -24,7 +24,7 @@ fn notes(commands: &[Command]) -> Vec<(Epoch, Ending, Option<f64>)> {
     commands.iter().filter_map(note).collect()
 }
 
-/// A worker with a task, at which it works.
+/// Creates a farm with a worker that works on a task.
 fn at_work() -> (Farm, JobId, Assignment) {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
@@ -129,7 +129,7 @@ fn what_a_stranger_says_of_a_job_that_is_not_there_is_not_kept() {
 fn a_lease_whose_heartbeats_were_lost_on_the_way_has_not_stalled() {
     let (mut farm, id, held) = at_work();
     farm.wait(farm.scheduler.config().lease - 1);
-    // The link is back: first comes what is said of another lease, which is long over.
+    // The link is back. The first message is about another lease, which ended long ago.
     farm.on(Event::Failed { worker: WorkerId(1), task: held.task, epoch: Epoch(1), failure: panic() });
     let commands = farm.wait(1);
     assert!(commands.iter().any(|command| matches!(command, Command::Revoke { .. })), "it ran out: {commands:?}");

@@ -1,4 +1,4 @@
-//! One build of the engine within one frame.
+//! Tests of frames and builds: one build of the engine renders a whole frame.
 
 use crate::common;
 use crate::common::{Farm, config, job, registration, result};
@@ -152,7 +152,7 @@ fn a_frame_that_is_put_aside_does_not_begin_anew_with_another_build() {
     assert_eq!((farm.tasks_of(2), farm.state(id)), (vec![], JobState::Failed));
 }
 
-/// A frame whose image only workers with the tag `big` may make.
+/// Creates a job with one frame whose image only workers with the tag `big` may make.
 fn tagged() -> JobSpec {
     let mut spec = job(&[1], 2, &[4]);
     spec.graph.stages.last_mut().unwrap().tags = vec!["big".into()];

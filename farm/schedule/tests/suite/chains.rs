@@ -1,10 +1,11 @@
-//! Tasks that each go on with the one before, a sentence each.
+//! Tests of chains: tasks that each continue the previous one.
 
 use crate::common::{Farm, config, of};
 use femc_model::*;
 use femc_schedule::*;
 
-/// A drill a frame, and of the job a chain of as many: each reads its frame and the link before.
+/// Creates a job with one drill task per frame and a chain of as many tasks of the job. Each link reads its frame and the previous
+/// link.
 fn job(frames: &[u32]) -> JobSpec {
     let drill = |scope, tasks, makes: &[Role]| Template::new(StageKind::Drill, scope, Sizes::even(tasks, 1), makes);
     let chain = drill(Scope::Job, frames.len() as u32, &[Role::Answer]).reads(0, Role::Answer, Reach::Fan(1)).reads(
@@ -21,7 +22,7 @@ fn made(task: &TaskKey) -> Artifact {
     Artifact::of(task.to_string().as_bytes())
 }
 
-/// The worker does its oldest task; which one that was.
+/// Completes the worker's oldest task and returns its key.
 fn work(farm: &mut Farm, worker: u64) -> TaskKey {
     let held = farm.first_of(worker);
     let outputs = vec![Output { role: Role::Answer, artifact: made(&held.task) }];

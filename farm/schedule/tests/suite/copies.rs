@@ -1,4 +1,4 @@
-//! Tasks that take too long are done twice, a sentence each.
+//! Tests of copies: tasks that take too long are leased twice.
 
 use crate::common;
 use crate::common::{Farm, job, panic, result_in};
@@ -7,7 +7,8 @@ use femc_schedule::*;
 
 use Decision::Done;
 
-/// Two workers, a job of three tiles; the first is done in a second, the second hangs at worker 1, worker 2 is idle.
+/// Creates a farm with two workers and a job of two tiles and an image. The first tile is done in a second, the second one hangs at
+/// worker 1, and worker 2 is idle.
 fn at_the_tail() -> (Farm, JobId, Assignment) {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 2, &[4]));
@@ -21,7 +22,7 @@ fn at_the_tail() -> (Farm, JobId, Assignment) {
     (farm, id, late)
 }
 
-/// Time goes by, and all workers are there.
+/// Lets time pass while all workers send heartbeats.
 fn wait(farm: &mut Farm, milliseconds: u64) -> Vec<Command> {
     let (mut commands, mut left) = (vec![], milliseconds);
     while left > 0 {
@@ -35,7 +36,7 @@ fn wait(farm: &mut Farm, milliseconds: u64) -> Vec<Command> {
     commands
 }
 
-/// The copy that worker 2 gets.
+/// Returns the copy that worker 2 gets.
 fn copy(farm: &mut Farm) -> Assignment {
     wait(farm, 2_500);
     farm.first_of(2)
@@ -87,7 +88,7 @@ fn nobody_gets_a_copy_while_there_is_other_work_or_before_one_knows_how_long_it_
     let other = farm.first_of(2);
     assert_ne!(other.task.job, late.task.job);
     farm.complete(2, &other, Done);
-    // It joins beside the late task, or at the worker that is free.
+    // The join task runs beside the late task, or on the idle worker.
     let (holder, merge) = farm.held.iter().find(|(_, held)| held.task.job == other.task.job).cloned().unwrap();
     farm.complete(holder.0, &merge, Done);
     wait(&mut farm, 500);

@@ -1,4 +1,4 @@
-//! Tasks of which workers die.
+//! Tests of tasks that kill workers.
 
 use crate::common::{Farm, config, job, registration};
 use femc_model::*;
@@ -14,7 +14,7 @@ fn died(commands: &[Command]) -> usize {
     commands.iter().filter(|command| matches!(command, Command::Record(Fact::Died { .. }))).count()
 }
 
-/// Time goes by while the workers that are there say what they do.
+/// Lets time pass while the connected workers report what they do.
 fn passes(farm: &mut Farm, milliseconds: u64) -> Vec<Command> {
     let mut all = Vec::new();
     for _ in 0..milliseconds / 1_000 {
@@ -38,7 +38,7 @@ fn a_task_that_kills_its_worker_is_put_aside_after_five_deaths_and_the_job_goes_
         assert_eq!(farm.status(id).quarantined, [], "{life}");
         let before = 10 * (life - 1) + u64::from(life == 1);
         assert_eq!(died(&farm.reborn(10 * life, before, &[held])), 1);
-        // The coordinator's own death changes nothing.
+        // A restart of the coordinator changes nothing.
         if life == 3 {
             farm.restart();
             farm.join_as(31, named("w", 30));
@@ -107,7 +107,7 @@ fn lost_links_drains_and_tasks_that_wait_do_not_count_as_deaths() {
     let mut farm = Farm::with(Config { prefetch: 1, ..config() });
     let id = farm.submit(job(&[1], 2, &[4]));
     for round in 0..20 {
-        // Two processes come back again and again: at once, or after they had been given up.
+        // Two processes come back repeatedly: immediately, or after they were presumed dead.
         let (worker, process) = (round + 1, round % 2);
         farm.join_as(worker, named(&format!("w{process}"), process));
         farm.wait(100);
@@ -123,7 +123,7 @@ fn lost_links_drains_and_tasks_that_wait_do_not_count_as_deaths() {
         farm.leave(round);
         assert_eq!(died(&passes(&mut farm, 20_000)), 0, "drained");
     }
-    // Of two tasks the one that waited is innocent.
+    // The death does not count for the second task, which was waiting.
     farm.join_as(200, named("x", 200));
     let waiting = farm.held[1].1.task;
     farm.leave(200);
@@ -163,7 +163,7 @@ fn a_death_counts_against_every_part_of_its_lease_and_then_each_part_stands_alon
     let held = farm.first_of(1);
     assert_eq!(held.work.steps, 1..8, "all that is left");
     farm.reborn(2, 1, std::slice::from_ref(&held));
-    // The third sample is the deadly one.
+    // The third sample kills workers.
     let mut deaths = 1;
     while farm.state(id) == JobState::Running && deaths < 9 {
         let worker = farm.held[0].0.0;

@@ -1,4 +1,4 @@
-//! Tiles in parts: what a lease covers, and that every sample comes home once, a sentence each.
+//! Tests of divided tiles: the sample chunks of a lease, and that every sample is counted once.
 
 use std::num::NonZeroU64;
 
@@ -8,12 +8,13 @@ use femc_schedule::*;
 
 use Decision::Done;
 
-/// Tiles of 64 pixels and 64 samples in 64 grains of a sample a pixel; a task is to take 8 s, and 1.5 s at the end.
+/// Creates a farm in which tiles of 64 pixels and 64 samples have 64 sample chunks of one sample per pixel. The intended duration
+/// of a task is 8 s, and 1.5 s at the end.
 fn farm() -> Farm {
     Farm::with(Config { grain: NonZeroU64::MIN, ..config() })
 }
 
-/// The worker does its oldest task in so many milliseconds a sample of each pixel.
+/// Completes the worker's oldest task, at `each` milliseconds for one sample of every pixel. Returns its samples.
 fn work(farm: &mut Farm, worker: u64, each: u64) -> std::ops::Range<u32> {
     let held = farm.first_of(worker);
     let covered = held.work.steps.clone();
@@ -33,7 +34,7 @@ fn refused(commands: &[Command]) -> bool {
 
 #[test]
 fn a_task_of_unknown_pace_is_small_and_the_next_ones_take_the_time_that_a_task_should() {
-    // Also where there is one frame alone, as long as it has enough for everybody.
+    // A single frame behaves the same, while it has enough work for all workers.
     for frames in [&[1, 2, 3][..], &[1]] {
         next_ones_take_their_time(frames);
     }
@@ -76,7 +77,7 @@ fn progress_tells_the_pace_before_anything_is_done() {
     farm.join(1);
     farm.heartbeat(1, Phase::Working, 0);
     farm.now = farm.now.after(1000);
-    // Half of a grain in a second: a grain takes two.
+    // Half a sample chunk in a second: a chunk takes two seconds.
     farm.heartbeat(1, Phase::Working, 32);
     farm.join(2);
     assert_eq!(samples(&farm.first_of(2)), 2..6, "four grains of 2 s");
@@ -154,11 +155,11 @@ fn a_grain_that_fails_is_tried_alone_and_put_aside_alone() {
     let (mut failures, mut worker) = (0, 1);
     while farm.state(id) == JobState::Running {
         let held = farm.first_of(worker);
-        // The sample 17 cannot be rendered.
+        // Sample 17 always fails.
         if held.work.steps.contains(&17) {
             failures += 1;
             farm.fail(worker, &held, panic());
-            // A worker on which it fails again and again would get no more of the job.
+            // A worker with repeated failures would be quarantined for the job.
             farm.leave(worker);
             worker += 1;
             farm.join(worker);
@@ -187,7 +188,7 @@ fn a_lease_that_comes_back_is_adopted_with_just_its_samples_if_nobody_has_any_of
     assert!(leased.iter().all(|sample| leased.iter().filter(|other| *other == sample).count() == 1), "{leased:?}");
     assert!(held.iter().all(|held| !refused(&farm.complete(2, held, Done))));
 
-    // Another has a part of it by then.
+    // Another worker holds a part of it by then.
     let old = farm.first_of(2);
     farm.leave(2);
     farm.join(3);

@@ -1,4 +1,4 @@
-//! Graphs of stages, a sentence each.
+//! Tests of graphs of stages.
 
 use crate::common;
 use crate::common::{Farm, config, of, panic};
@@ -20,7 +20,7 @@ fn image(scope: Scope, makes: &[Role]) -> Template {
     Template::new(Image, scope, Sizes::even(1, 1), makes)
 }
 
-/// Frames of two tiles, sums of pairs of tiles over all frames, and one result of the job.
+/// Creates a job with frames of two tiles, sums of pairs of tiles over all frames, and one result of the job.
 fn whole(frames: &[u32], gaps: bool) -> JobSpec {
     let pairs = Template::new(Reduce, Scope::Job, Sizes::even(frames.len() as u32, 1), &[Role::Sums]);
     let graph = Graph {
@@ -34,7 +34,7 @@ fn whole(frames: &[u32], gaps: bool) -> JobSpec {
     of(frames, 2, graph)
 }
 
-/// What a task makes of such a graph.
+/// Returns the result of a task of such a graph.
 fn result(held: &Assignment, roles: &[Role]) -> TaskResult {
     let output =
         |&role: &Role| Output { role, artifact: Artifact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
@@ -47,7 +47,7 @@ fn result(held: &Assignment, roles: &[Role]) -> TaskResult {
     }
 }
 
-/// Does the worker's oldest task, of whatever kind.
+/// Completes the worker's oldest task, whatever its kind.
 fn work(farm: &mut Farm, worker: u64) -> TaskKey {
     let held = farm.first_of(worker);
     let roles: &[Role] = match (held.task.stage.kind, held.task.stage.frame) {
@@ -164,7 +164,7 @@ fn a_stage_behind_the_loop_reads_all_its_rounds() {
     assert_eq!((farm.state(id), farm.scheduler.frames(id).unwrap()[0].spp), (JobState::Done, 8));
 }
 
-/// The rounds and items that the first task of a stage reads; every loop runs for all its rounds.
+/// Returns the rounds and items that the first task of a stage reads when every loop runs all its rounds.
 fn read_by_first(graph: &Graph, reader: u16) -> Vec<(u32, u32)> {
     let mut farm = Farm::with(Config { prefetch: 0, ..config() });
     let contents = if graph.has_content() { vec![(1, Digest::of(b"world"))] } else { vec![] };
@@ -191,7 +191,7 @@ fn a_stage_of_another_scope_reads_of_a_loop_the_last_round_or_all_of_them_as_it_
     let (last, all) = (vec![(2, 0), (2, 1)], vec![(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]);
     for (round, expected) in [(Round::Same, last), (Round::Every, all)] {
         for (made_by, read_by) in [(Scope::Frame, Scope::Job), (Scope::Content, Scope::Frame)] {
-            // A result is kept of every round, for people; another output is not.
+            // Results of every round are kept for people; other outputs are not.
             for role in [Role::Sums, Role::Image] {
                 let blocks = Template::new(Reduce, made_by, Sizes::even(2, 1), &[role]);
                 let close = image(made_by, &[]).reads(0, role, Reach::All).closes(0, 3);
@@ -503,7 +503,7 @@ fn an_output_goes_when_all_that_read_it_are_done() {
             commands.into_iter().filter_map(|c| if let Command::Discard(all) = c { Some(all.len()) } else { None });
         released.push((held.task.stage.number, held.task.index, all.sum::<usize>()));
     }
-    // The second reduction is ready with each tile, the first with both.
+    // The second reduction has a ready task after each tile, the first one after both.
     assert_eq!(released, [(0, 0, 0), (2, 0, 0), (0, 1, 0), (2, 1, 0), (1, 0, 2), (3, 0, 3)]);
 }
 
@@ -540,7 +540,7 @@ fn a_job_that_fails_takes_back_what_reads_a_frame_that_is_lost_since() {
     assert_eq!((farm.state(id), farm.tasks_of(1)), (JobState::Failed, vec![]));
 }
 
-/// A frame of two tiles whose image only workers with the tag `big` may make.
+/// Creates a job with one frame of two tiles whose image only workers with the tag `big` may make.
 fn tagged() -> JobSpec {
     let image = image(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All).closes(0, 1);
     of(&[1], 2, Graph { stages: vec![render(2, &[4]), image.tags(&["big"])] })
@@ -569,7 +569,7 @@ fn what_failed_on_the_only_worker_with_its_stage_s_tags_is_tried_there_again_and
     let mut farm = Farm::with(Config { prefetch: 0, late: 100, ..config() });
     let id = farm.submit(JobSpec { frames: vec![1, 2], ..tagged() });
     farm.join_with(1, vec!["big".into()]);
-    // The image of the first frame tells how long one takes.
+    // The image of the first frame shows how long an image takes.
     while farm.tasks_of(1) != [(2, 0, Image, 0)] {
         let held = farm.first_of(1);
         let seconds = 0.1;

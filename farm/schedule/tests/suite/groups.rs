@@ -1,4 +1,4 @@
-//! The merge as a tree, a sentence each: frames of 5 tiles in groups of 2.
+//! Tests of the merge as a tree: frames of 5 tiles in groups of 2.
 
 use crate::common;
 use crate::common::{Farm, config, grouped, panic};
@@ -19,7 +19,7 @@ fn roles(parts: &FrameParts) -> Vec<Role> {
     parts.outputs.iter().map(|output| output.role).collect()
 }
 
-/// Does tasks until one of this kind is the worker's oldest.
+/// Completes tasks until the worker's oldest one has this kind.
 fn until(farm: &mut Farm, kind: StageKind) -> Assignment {
     until_it_is(farm, |task| task.stage.kind == kind)
 }
@@ -39,7 +39,7 @@ fn lost(artifact: Artifact) -> Failure {
     Failure::LostInputs { digests: vec![artifact.digest], message: "gone".into() }
 }
 
-/// Completes a task; returns how many artifacts that it released nothing names any more.
+/// Completes a task. Returns the number of released artifacts without any reference.
 fn released(farm: &mut Farm, held: &Assignment, how: Decision) -> usize {
     let commands = farm.complete(1, held, how);
     let all = commands.into_iter().flat_map(|command| match command {

@@ -1,10 +1,11 @@
-//! What a frame may look at of the one before, a sentence each.
+//! Tests of hints: outputs of the previous frame that tasks may read.
 
 use crate::common::{Farm, config, of, registration};
 use femc_model::*;
 use femc_schedule::*;
 
-/// Three drills a frame, each of which may look at the one of its number in the frame before, and an answer of all.
+/// Creates a job with three drill tasks per frame, each of which has the drill of its number in the previous frame as a hint, and
+/// an answer made from all of them.
 fn job(frames: &[u32]) -> JobSpec {
     let drill = |tasks, makes: &[Role]| Template::new(StageKind::Drill, Scope::Frame, Sizes::even(tasks, 1), makes);
     let blocks = drill(3, &[Role::Numbers]).looks_at(0, Role::Numbers, Reach::Same);
@@ -19,7 +20,7 @@ fn made(task: &TaskKey) -> Artifact {
     Artifact::of(format!("{} {task}", task.stage.number).as_bytes())
 }
 
-/// The worker does its oldest task; which one that was.
+/// Completes the worker's oldest task and returns its key.
 fn work(farm: &mut Farm, worker: u64) -> TaskKey {
     let held = farm.first_of(worker);
     let role = if held.task.stage.number == 0 { Role::Numbers } else { Role::Answer };
@@ -28,7 +29,7 @@ fn work(farm: &mut Farm, worker: u64) -> TaskKey {
     held.task
 }
 
-/// What the worker's oldest task may look at: frame, task and artifact.
+/// Returns the hints of the worker's oldest task: frame, task and artifact.
 fn hints(farm: &Farm, worker: u64) -> Vec<(u32, u32, Artifact)> {
     let hints = farm.first_of(worker).work.hints;
     hints.iter().map(|hint| (hint.frame, hint.item, hint.output.artifact)).collect()

@@ -1,6 +1,6 @@
-//! Which lease a message is about. A lease is named by job, stage, index and epoch, and one session holds it. A lease that a worker
-//! brings along from an earlier session must also have the job's key and the steps of the running lease. A message that differs in
-//! any of these changes nothing about the running lease.
+//! Tests of the identity of leases. A lease is identified by job, stage, index and epoch, and one session holds it. A lease that a
+//! worker reports from an earlier session must also have the job's key and the steps of the running lease. A message that differs
+//! in any of these changes nothing about the running lease.
 
 use crate::common::{self, Farm, job, panic, registration, result};
 use femc_model::*;
@@ -8,7 +8,7 @@ use femc_schedule::*;
 
 use Decision::{Continue, Done};
 
-/// The parts of a lease's name, and names that differ in just that part: of another lease that runs, and of none.
+/// Returns the parts of a lease's key, each with a key that differs in that part: keys of other running leases, and of none.
 fn others(Assignment { task, epoch, .. }: &Assignment) -> Vec<(&'static str, TaskKey, Epoch)> {
     let of = |what, stage| (what, TaskKey { stage, ..*task }, *epoch);
     let stage = task.stage;
@@ -29,7 +29,7 @@ fn others(Assignment { task, epoch, .. }: &Assignment) -> Vec<(&'static str, Tas
     ]
 }
 
-/// Two jobs alike, all of whose tiles worker 1 holds; and its lease of the first job's first tile.
+/// Creates a farm with two equal jobs, all of whose tiles worker 1 holds. Returns also its lease of the first job's first tile.
 fn begun() -> (Farm, Assignment) {
     let mut farm = Farm::with(Config { prefetch: 20, ..common::config() });
     for number in 1..=2 {
@@ -46,7 +46,7 @@ fn leases(farm: &Farm, worker: u64) -> Vec<LeaseLeft> {
     farm.scheduler.leases(WorkerId(worker), farm.now)
 }
 
-/// Whether the commands revoke this lease of this worker, once.
+/// Checks that the commands revoke this lease of this worker once.
 fn is_taken_back(commands: &[Command], to: u64, of: (TaskKey, Epoch)) -> bool {
     let is_it = |command: &&Command| matches!(command, Command::Revoke { worker, task, epoch, .. } if (worker.0, (*task, *epoch)) == (to, of));
     commands.iter().filter(is_it).count() == 1
@@ -66,7 +66,7 @@ fn counts(commands: &[Command]) -> bool {
     commands.iter().any(|command| matches!(command, Command::Record(Fact::Done { .. })))
 }
 
-/// Jobs that differ from that of [`begun`] in one thing that decides pixels.
+/// Returns jobs that differ from that of [`begun`] in one property that affects pixels.
 fn other_jobs() -> Vec<(&'static str, JobSpec)> {
     let same = || job(&[1, 2], 2, &[8, 16]);
     let digest = Digest::of(b"another");
@@ -87,9 +87,9 @@ fn a_lease_from_elsewhere_takes_over_none_that_runs() {
     let own = farm.lease(&held);
     let named = others(&held).into_iter();
     let named = named.map(|(what, task, epoch)| (what, HeldLease { task, epoch, ..own.clone() }));
-    // Another farm's job of the same number, or one that was lost with an earlier log: by chance all names are the same.
+    // A job of another farm with the same number, or one that was lost with an earlier log: all numbers are equal by chance.
     let jobs = other_jobs().into_iter().map(|(what, spec)| (what, HeldLease { job: spec.key(), ..own.clone() }));
-    // Another farm's lease in the same job: it has cut the job's tasks in its own way.
+    // A lease of another farm for the same job, whose tasks that farm has divided differently.
     let steps = [0..7, 1..8, 0..9, 0..16, 8..16, 0..0].map(|steps| ("steps", HeldLease { steps, ..own.clone() }));
     let mut cases = 0;
     for (what, brought) in named.chain(jobs).chain(steps) {
@@ -102,7 +102,7 @@ fn a_lease_from_elsewhere_takes_over_none_that_runs() {
         cases += 1;
     }
     assert_eq!(cases, 13 + 7 + 6);
-    // The same name, job and steps are those of the same worker.
+    // With the same key, job and steps it is the same worker.
     let (mut farm, _) = begun();
     let mut commands = farm.join_as(2, Registration { instance: 2, held: vec![own], ..registration() });
     commands.retain(|command| matches!(command, Command::Revoke { .. }));
@@ -151,7 +151,7 @@ fn a_report_counts_for_the_lease_that_it_names_alone_and_from_the_session_that_h
 fn a_repetition_is_answered_as_such_by_the_name_that_has_counted_alone() {
     let ends: [fn(&Assignment) -> bool; 3] = [
         |held| held.task.stage.kind == StageKind::Render,
-        // What it has made is there no longer, when the next round has begun.
+        // Its outputs are already released when the next round has begun.
         |held| held.task.stage.kind == StageKind::Image,
         |held| (held.task.stage.kind, held.task.stage.round) == (StageKind::Image, 1),
     ];
@@ -233,7 +233,7 @@ fn a_death_counts_for_the_task_and_job_that_it_names_alone() {
     let (farm, held) = begun();
     let own = farm.lease(&held);
     let named = others(&held).into_iter().filter(|(_, task, _)| *task != held.task);
-    // These are tasks here, too: they may have been its death.
+    // These parts are left out: they give tasks that exist here, too, and may have caused the death.
     let named = named.filter(|(what, ..)| !["job", "frame", "index"].contains(what));
     let named = named.map(|(what, task, _)| (what, HeldLease { task, ..own.clone() }));
     let jobs = other_jobs().into_iter().map(|(what, spec)| (what, HeldLease { job: spec.key(), ..own.clone() }));
@@ -250,7 +250,7 @@ fn a_death_counts_for_the_task_and_job_that_it_names_alone() {
 fn a_lease_that_nobody_has_any_more_is_adopted_if_it_is_of_a_task_here() {
     let (farm, held) = begun();
     let own = farm.lease(&held);
-    // Of tasks that are here, too, and free; epochs are of leases that nobody knows any more.
+    // These parts give tasks that exist here and are not leased; the epochs are of leases that nobody holds any more.
     let free = ["job", "frame", "index", "epoch before", "epoch behind", "epoch of another life"];
     let named = others(&held).into_iter();
     let named = named.map(|(what, task, epoch)| (what, HeldLease { task, epoch, ..own.clone() }));
@@ -292,7 +292,7 @@ fn a_lease_that_is_taken_over_has_its_whole_time_and_begins_anew_with_the_prepar
     let own = farm.lease(&held);
     farm.join_as(2, Registration { instance: 2, held: vec![own], ..registration() });
     assert_eq!(leases(&farm, 2)[0].left, config.lease);
-    // Longer than it may stand still at work, and not so long as a preparation may take.
+    // Longer than the stall limit of a working task, and shorter than that of a preparation.
     let ends = farm.now.after(config.stall + 2 * config.lease);
     assert!(config.stall + 3 * config.lease < config.preparation_stall);
     while farm.now < ends {

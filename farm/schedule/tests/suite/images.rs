@@ -1,4 +1,4 @@
-//! Images that were finished and are gone, results that do not fit the store, and a store that keeps failing: a sentence each.
+//! Tests of lost images, of results that do not fit the store, and of a store that keeps failing.
 
 use crate::common;
 use crate::common::{Farm, job, registration, result};
@@ -8,7 +8,7 @@ use femc_schedule::*;
 use Decision::{Continue, Done};
 use StageKind::{Image, Render};
 
-/// A farm with a worker, and a job of two frames that is done.
+/// Creates a farm with a worker, and a finished job of two frames.
 fn done() -> (Farm, JobId) {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2], 1, &[4]));
@@ -44,7 +44,7 @@ fn a_finished_frame_whose_image_is_lost_is_rendered_again_and_its_job_runs_and_s
     assert_eq!((status.state, status.frames_done, status.frames_failed), (JobState::Running, 1, 0));
     assert!(status.waits.contains(&Wait::ImageLost { frame: 2 }), "{:?}", status.waits);
     assert_eq!(farm.scheduler.frames(id).unwrap(), before[..1], "nobody is sent for it again");
-    // A second one who misses it changes nothing.
+    // A second report of the same loss changes nothing.
     assert_eq!(restarted(&farm.on(Event::Lost { digest: lost })), []);
 
     farm.restart();

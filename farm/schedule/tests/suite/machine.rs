@@ -1,5 +1,5 @@
-//! Any order of events: no task is lost, no sample of a tile is done twice, every job ends, a replay gives the same state,
-//! and dealing again changes nothing.
+//! Property test with arbitrary orders of events: no task is lost, no sample of a tile is done twice, every job ends, a replay
+//! gives the same state, and a second dispatch changes nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroU64;
@@ -17,51 +17,51 @@ enum Step {
         tiles: u32,
         rounds: usize,
         form: Form,
-        /// Whose, and with which key.
+        /// Index of the owner.
         owner: usize,
         key: Option<u8>,
         priority: u8,
     },
-    /// A worker dies while it computes a task; its next process says so.
+    /// A worker dies while it computes a task; its next process reports it.
     Die(usize),
     Join,
-    /// A worker comes back with the leases that an earlier session left over.
+    /// A worker comes back with leases of an earlier session.
     Return(usize),
-    /// A worker starts again, and nobody has heard its earlier session end.
+    /// A worker restarts, and the end of its earlier session is not known.
     StartAgain(usize),
     Drain(usize, Drain),
     Leave(usize),
-    /// After so many milliseconds of work.
+    /// A task is completed after these milliseconds of work.
     Complete(usize, Goes, u64),
     Fail(usize, u8),
-    /// A task panics on whoever has it, again and again.
+    /// A task panics on every worker, again and again.
     Doom(usize),
     Late(usize),
     Heartbeat(usize, u64),
     Wait(u64),
     Control(usize, u8),
     Restart,
-    /// The image of a finished frame is gone from the store.
+    /// The image of a finished frame is lost from the store.
     LoseImage(usize),
-    /// Workers that start from now on are of the other build.
+    /// Workers that start from now on have the other build.
     Upgrade,
 }
 
-/// What the graph of a job is.
+/// Form of a job's graph.
 #[derive(Debug, Clone, Copy)]
 enum Form {
-    /// Tiles, groups of so many of them (0: none), an image.
+    /// Tiles, groups of this many tiles (0: none), an image.
     Frames(u32),
     /// Two stages that read the tiles, and an image that reads both.
     Diamond,
-    /// Tiles, an image behind the loop that reads all rounds.
+    /// Tiles, and an image after the loop that reads all rounds.
     Behind,
-    /// Tiles, groups of two of them, a decision that reads the groups' errors, an image behind the loop that reads their pixels. Tiles
-    /// and groups may look at what the groups of the frame before have left.
+    /// Tiles, groups of two tiles, a decision that reads the groups' errors, and an image after the loop that reads their pixels.
+    /// The groups of the previous frame are hints for tiles and groups.
     Decided,
-    /// Frames, and for the job a tree over their tiles and one result, and a chain over its frames; with gaps or without.
+    /// Frames, and for the job a tree over their tiles with one result, and a chain over its frames; with gaps or without.
     Whole { gaps: bool },
-    /// Frames that read what is solved in rounds, once for all frames and jobs of one content.
+    /// Frames that read a content which is solved in rounds, once for all frames and jobs with this content.
     Shared,
 }
 
@@ -134,11 +134,11 @@ impl Form {
     }
 }
 
-/// What a task decides that may decide.
+/// Decision of a task that closes a loop.
 #[derive(Debug, Clone, Copy)]
 enum Goes {
     On,
-    /// On, with steps of each task that differ.
+    /// Continue, with different steps for each task.
     Unevenly(u32),
     Over,
 }
@@ -174,67 +174,68 @@ fn step() -> impl Strategy<Value = Step> {
 
 const OWNERS: [&str; 3] = ["ann", "bob", "eve"];
 
-/// Jobs of one tile need a worker that has it.
+/// Tag that jobs of one tile require.
 const TAG: &str = "near";
 
-/// The farm, and what must hold of it.
+/// The farm, with a model of its expected state.
 struct Machine {
     farm: Farm,
-    /// The log so far, to ask what is there before a fact.
+    /// Ledger of the log so far, for queries about the state before a fact.
     shadow: Ledger,
     workers: BTreeSet<u64>,
     next_worker: u64,
-    /// Workers that have told of a failure.
+    /// Workers that have reported a failure.
     complained: BTreeSet<u64>,
-    /// Of the engine of each worker.
+    /// Build of the engine of each worker.
     builds: BTreeMap<u64, &'static str>,
     jobs: Vec<JobId>,
     keys: BTreeMap<u8, JobId>,
-    /// Jobs that a person has ended.
+    /// Jobs that a person has cancelled.
     cancelled: BTreeSet<JobId>,
-    /// Jobs that a person has stopped.
+    /// Jobs that a person has paused.
     paused: BTreeSet<JobId>,
-    /// How often tasks that are put aside were tried.
+    /// Number of tries of each quarantined task.
     tries: BTreeMap<TaskKey, u32>,
-    /// Leases that are over, as a slow worker remembers them.
+    /// Leases that are over, as a slow worker may still report them.
     over: Vec<(WorkerId, Assignment)>,
-    /// Of a task one, or two when the second is a copy of the first.
+    /// Running leases: one per task, or two if the second is a copy of the first.
     live: BTreeSet<(TaskKey, Epoch)>,
-    /// What leases cover, of all that were ever seen.
+    /// Steps of every lease that was ever granted.
     runs: BTreeMap<Epoch, Vec<Unit>>,
-    /// What they read, by frame, task and role: frames that are made again may be cut elsewhere.
+    /// Inputs of the leases, by frame, task and role: frames that are made again may be divided differently.
     read: BTreeMap<Epoch, BTreeSet<(u32, u32, Role)>>,
     last_epoch: Epoch,
     done: BTreeSet<TaskKey>,
-    /// By which lease each was done last.
+    /// Lease that last completed each task.
     made: BTreeMap<TaskKey, Epoch>,
-    /// Results of which it was noted what they took, until they count.
+    /// Results whose usage was recorded, until they count.
     noted: BTreeSet<(TaskKey, Epoch)>,
-    /// What frames have made since they began, by job, frame, stage and task; also what was lost since.
+    /// Outputs of frames since they began, by job, frame, stage and task, including lost ones.
     ever: BTreeMap<(JobId, u32, u16, u32), BTreeSet<Digest>>,
-    /// The results that count, and by which lease.
+    /// Results that count, each with its lease.
     results: BTreeMap<Unit, (Epoch, TaskResult)>,
-    /// What was decided after which round of which frame.
+    /// Decisions, by job, frame and round.
     choices: BTreeMap<(JobId, u32, u32), Goes>,
-    /// Whether jobs have ever shared anything.
+    /// Whether there ever was a shared job.
     has_shared: bool,
-    /// What jobs share, by content and build.
+    /// Shared jobs by content and build.
     shared: BTreeMap<(Digest, String), JobId>,
-    /// Steps of tasks at the end of rounds that somebody has decided: by job, frame and round.
+    /// Decided steps of tasks at the end of rounds, by job, frame and round.
     decided: BTreeMap<(JobId, u32, u32), Vec<u32>>,
 }
 
-/// A step of a task: stage, number of the task, step.
+/// A step of a task: job, stage, number of the task, step.
 type Unit = (JobId, Stage, u32, u32);
 
-/// What a lease covers.
+/// Returns the steps that a lease covers.
 fn units(held: &Assignment) -> Vec<Unit> {
     held.work.steps.clone().map(|step| (held.task.job, held.task.stage, held.work.item, step)).collect()
 }
 
 impl Machine {
-    /// - `grain`: pixel samples; a tile has 64 pixels.
-    /// - `prefetch`: tasks that a worker holds beyond the one that it does.
+    /// Creates a machine.
+    /// - `grain`: pixel samples of a sample chunk; a tile has 64 pixels.
+    /// - `prefetch`: tasks that a worker holds beyond the running one.
     fn new(grain: u64, prefetch: u32, keep_ended: Option<u64>) -> Self {
         let grain = NonZeroU64::new(grain).unwrap();
         let config = Config {
@@ -277,7 +278,7 @@ impl Machine {
         }
     }
 
-    /// Checks every command against what is known, and learns from it.
+    /// Checks every command against the model, and updates the model.
     fn see(&mut self, commands: Vec<Command>) {
         for command in commands {
             if let Command::Record(fact) = &command {
@@ -338,7 +339,7 @@ impl Machine {
         }
     }
 
-    /// What a fact does to what is done.
+    /// Updates the finished work with a fact.
     fn learn(&mut self, fact: &Fact) {
         match fact {
             Fact::Shared { job, key, engine, .. } => {
@@ -382,7 +383,7 @@ impl Machine {
             drop(self.shadow.apply(fact, self.farm.now));
             return;
         };
-        // What was made of the job as a whole may have been made without a frame that is tried again.
+        // The job's own stages may have been done without a frame that is now retried.
         let before = self.shadow.references();
         self.shadow.apply(fact, self.farm.now);
         let after = self.shadow.references();
@@ -395,7 +396,7 @@ impl Machine {
         }
     }
 
-    /// These steps are to be done again; and what they read, where that is not there any more.
+    /// Marks these steps as not done, together with the producers of their inputs that no longer exist.
     fn undo(&mut self, units: Vec<Unit>, there: &BTreeSet<Digest>) {
         for unit in units {
             let Some((epoch, _)) = self.results.remove(&unit) else { continue };
@@ -410,7 +411,7 @@ impl Machine {
             };
             let gone: Vec<(Need, Unit)> = read.into_iter().filter(is_gone).collect();
             for (_, unit) in gone {
-                // A task of which some is gone is done again as a whole.
+                // A task of which a part is lost is done again as a whole.
                 let whole: Vec<Unit> =
                     self.results.keys().filter(|it| (it.0, it.1, it.2) == (unit.0, unit.1, unit.2)).copied().collect();
                 self.undo(whole, there);
@@ -418,7 +419,7 @@ impl Machine {
         }
     }
 
-    /// The steps that a round takes of a task.
+    /// Returns the steps of a task in a round.
     fn steps(&self, job: JobId, stage: &Stage, item: u32) -> std::ops::Range<u32> {
         let template = self.farm.scheduler.spec(job).unwrap().graph.stage(stage.number).unwrap().clone();
         let to = |round: u32| {
@@ -437,13 +438,13 @@ impl Machine {
         range
     }
 
-    /// The last round of a frame's loop that was begun.
+    /// Returns the last round of a frame's loop that has begun.
     fn last_round(&self, job: JobId, frame: u32) -> u32 {
         let of_frame = self.results.keys().filter(|unit| (unit.0, unit.1.frame) == (job, frame));
         of_frame.map(|unit| unit.1.round).max().unwrap_or(0)
     }
 
-    /// What a task reads, by its graph alone: of frames that there are, and of what this build has done for its content.
+    /// Returns the inputs of a task according to its graph: from existing frames, and from the shared job of this build.
     fn read_by(&self, (job, stage, item, _): &Unit, engine: &str) -> Vec<(Need, Unit)> {
         let graph = &self.farm.scheduler.spec(*job).unwrap().graph;
         let frames = &self.farm.scheduler.spec(*job).unwrap().frames;
@@ -494,8 +495,8 @@ impl Machine {
         all
     }
 
-    /// A job that stands still is leased to nobody, and none to a worker without its tags; of what jobs share one must run and fit,
-    /// and nothing is done for a content twice by one build.
+    /// Checks that no task of a paused job is leased, and no task to a worker without its tags. For a shared job, checks that at
+    /// least one of the jobs that share it runs and fits the worker, and that no build does a content twice.
     fn may_lease(&self, worker: WorkerId, task: &TaskKey) {
         if !task.job.is_shared() {
             assert!(!self.paused.contains(&task.job), "{task} is leased, and its job stands still");
@@ -518,7 +519,7 @@ impl Machine {
         assert!(self.jobs.iter().any(waits), "{task} is leased, and no job waits for it");
     }
 
-    /// Whether a frame of the job that is not finished has this content.
+    /// Checks whether an unfinished frame of the job has this content.
     fn needs(&self, job: JobId, key: &Digest) -> bool {
         let spec = self.farm.scheduler.spec(job).unwrap();
         let finished = self.farm.scheduler.frames(job).unwrap();
@@ -529,7 +530,7 @@ impl Machine {
             .any(|(place, &frame)| spec.content(place).as_ref() == Some(key) && is_open(frame))
     }
 
-    /// Whether a worker has all that a job asks for.
+    /// Checks whether a worker has all tags of a job.
     fn is_fit_for(&self, worker: WorkerId, job: JobId) -> bool {
         self.has_tags(worker, &self.farm.scheduler.spec(job).unwrap().tags)
     }
@@ -540,7 +541,7 @@ impl Machine {
         all.iter().all(|tag| tags.contains(tag))
     }
 
-    /// A lease begins, by being granted or adopted: nobody else has any of it, and none of it is done.
+    /// Notes a granted or adopted lease. Checks that no part of it is leased to others or done.
     fn begins(&mut self, held: &Assignment) {
         let units = units(held);
         let original = held.copy_of.filter(|original| self.live.contains(&(held.task, *original)));
@@ -556,8 +557,8 @@ impl Machine {
         self.read.insert(held.epoch, read.collect());
     }
 
-    /// Before a task begins, all that it reads is done, and it is given just that: of frames that cannot be finished nothing, where
-    /// gaps are allowed.
+    /// Checks that all inputs of a task exist before it begins, and that it gets exactly these: where gaps are allowed, none of
+    /// frames that cannot be finished.
     fn all_is_there(&self, held: &Assignment, engine: &str) {
         let Some(unit) = units(held).first().copied() else { panic!("a task of nothing: {held:?}") };
         let expected = self.expected(&held.task, &unit, engine);
@@ -567,7 +568,7 @@ impl Machine {
         self.assignment_is_complete(held);
     }
 
-    /// A task that reads one that is cut is told how many steps each of these has taken.
+    /// Checks that a task which reads divided tasks gets the number of steps that each of them has taken.
     fn assignment_is_complete(&self, held: &Assignment) {
         let graph = &self.farm.scheduler.spec(held.task.job).unwrap().graph;
         let (stage, template) = (held.task.stage, self.template(&held.task));
@@ -589,7 +590,7 @@ impl Machine {
         assert_eq!(held.work.taken, taken, "what {} is told", held.task);
     }
 
-    /// What a task reads now.
+    /// Returns the present inputs of a task.
     fn expected(&self, task: &TaskKey, unit: &Unit, engine: &str) -> BTreeSet<Digest> {
         let finished = |frame: u32| self.farm.scheduler.frames(unit.0).unwrap().iter().any(|it| it.frame == frame);
         let mut expected = BTreeSet::new();
@@ -717,7 +718,7 @@ impl Machine {
             Step::Complete(which, goes, milliseconds) => {
                 self.take(Step::Wait(milliseconds));
                 let Some((worker, held)) = self.held(which) else { return };
-                // Who decides again has the same inputs.
+                // A repeated decision has the same inputs.
                 let round = (held.task.job, held.task.stage.frame, held.task.stage.round);
                 let closes = self.template(&held.task).closes.is_some();
                 let goes = if closes { *self.choices.entry(round).or_insert(goes) } else { goes };
@@ -772,7 +773,7 @@ impl Machine {
                     result: result(&task, Decision::Done),
                 };
                 let commands = self.farm.on(event);
-                // That its worker lives is news, and that time has gone by.
+                // Facts with other causes: the worker's sign of life, and the passing of time.
                 let is_besides = |fact: &Fact| {
                     matches!(fact, Fact::Lives { .. } | Fact::Died { .. } | Fact::Used { .. } | Fact::Shared { .. })
                 };
@@ -845,7 +846,7 @@ impl Machine {
         self.farm.scheduler.spec(task.job).and_then(|spec| spec.graph.stage(task.stage.number)).expect("it has a stage")
     }
 
-    /// What an honest worker makes of a task: all that the graph says, and a decision where it closes a loop.
+    /// Returns the result of a correct worker: all outputs of the graph, and a decision if the task closes a loop.
     fn result(&self, held: &Assignment, goes: Goes, milliseconds: u64) -> TaskResult {
         let stage = held.task.stage;
         let graph = &self.farm.scheduler.spec(held.task.job).unwrap().graph;
@@ -882,7 +883,7 @@ impl Machine {
         }
     }
 
-    /// Whether a lease's result is written down.
+    /// Checks whether the commands record a lease's result.
     fn counts(commands: &[Command], held: &Assignment) -> bool {
         let is_result = |command: &Command| match command {
             Command::Record(Fact::Done { epoch, .. }) => *epoch == held.epoch,
@@ -891,7 +892,7 @@ impl Machine {
         commands.iter().any(is_result)
     }
 
-    /// A new session of a worker, which is of the same build.
+    /// Starts a new session of a worker, with the same build.
     fn comes_back(&mut self, before: WorkerId, leases: &[Assignment]) -> Vec<Command> {
         let (worker, today) = (self.next_worker, self.farm.engine);
         self.next_worker += 1;
@@ -905,10 +906,10 @@ impl Machine {
     }
 
     fn check(&mut self) {
-        // What was paused and is done is not held any longer.
+        // A paused job that is done is no longer paused.
         let is_done = |job: &JobId| self.farm.scheduler.spec(*job).is_none() || self.farm.state(*job) == JobState::Done;
         self.paused = self.paused.iter().copied().filter(|job| !is_done(job)).collect();
-        // Copies are given out as time goes by.
+        // Copies are granted when time passes.
         self.take(Step::Wait(0));
         assert_eq!(&self.farm.replay(), self.farm.scheduler.ledger(), "a replay gives the same state");
         let again = self.farm.on(Event::Elapsed);
@@ -928,8 +929,8 @@ impl Machine {
         assert!(self.live.iter().all(|(task, _)| !self.done.contains(task)), "what is done is no longer leased");
     }
 
-    /// A job has failed if, and only if, something of it was put aside or the whole cannot succeed; who was put aside stays so until
-    /// a person says otherwise; nothing of what has ended is leased.
+    /// Checks that a job has failed if and only if one of its tasks is quarantined or it cannot succeed as a whole; that a task
+    /// stays quarantined until a person retries it; and that no task of an ended job is leased.
     fn explains_every_end(&mut self) {
         for &job in &self.jobs {
             let status = self.farm.status(job);
@@ -946,7 +947,7 @@ impl Machine {
             for one in &status.quarantined {
                 let is_enough = if matches!(one.failure, Failure::Killed { .. }) { 5 } else { 3 };
                 assert!(one.attempts >= is_enough, "{one:?}");
-                // A frame that begins anew takes what is put aside along to its first round.
+                // A frame that restarts keeps its quarantined tasks in its first round, so the round is ignored.
                 now.insert(TaskKey { stage: Stage { round: 0, ..one.task.stage }, ..one.task }, one.attempts);
             }
             for (task, tries) in self.tries.iter().filter(|(task, _)| task.job == job) {
@@ -956,7 +957,7 @@ impl Machine {
         }
     }
 
-    /// Every moment of a worker is its oldest lease's owner's; what is under way becomes so in time.
+    /// Checks that every moment of a worker is charged to the owner of its oldest lease; running leases are charged with a delay.
     fn charges_what_was_held(&self) {
         let used: BTreeMap<&str, u64> = self.farm.scheduler.used().map(|(owner, used)| (owner, used.held)).collect();
         let served = self.farm.served();
@@ -973,7 +974,8 @@ impl Machine {
         assert!(charged <= held && held - charged <= under_way, "{held} ms were held, and {charged} are charged");
     }
 
-    /// Where nothing is under way, a job's samples are those that are there, and its frames' seconds those of all results.
+    /// Checks that the samples of a job without running leases are those of its results, and that the seconds of its frames are
+    /// those of all results.
     fn counts_what_was_done(&self) {
         for &job in &self.jobs {
             if self.live.iter().any(|(task, _)| task.job == job) {
@@ -995,7 +997,7 @@ impl Machine {
         }
     }
 
-    /// The farm in numbers is the sum of what it says of each job and worker, and of what was seen.
+    /// Checks that the key figures are the sums over all jobs and workers, and match the model.
     fn figures_add_up(&self) {
         let (scheduler, now) = (&self.farm.scheduler, self.farm.now);
         let (figures, jobs, workers) = (scheduler.figures(now), scheduler.jobs(now), scheduler.workers(now));
@@ -1021,7 +1023,7 @@ impl Machine {
         assert_eq!(standing(WorkerStanding::Drained), count(&|worker| worker.intake == Intake::Drained));
         assert_eq!(standing(WorkerStanding::Off), count(&|worker| worker.intake == Intake::Off));
         let is_open = |worker: &WorkerStatus| worker.intake == Intake::Open;
-        // Well is who has been heard and has not failed.
+        // A worker is fit if it is not silent and has not failed.
         let (unfit, lease) = (standing(WorkerStanding::Unfit), scheduler.config().lease);
         let may_rest =
             count(&|worker| is_open(worker) && (self.complained.contains(&worker.worker.0) || worker.silent >= lease));
@@ -1053,9 +1055,10 @@ impl Machine {
         }
     }
 
-    /// What is said to be ready is what new workers get: of each build one after the other, until they get nothing.
+    /// Checks that the reported ready tasks are those that new workers get: workers of each build join one after the other, until
+    /// they get nothing.
     fn counts_what_is_ready(&self) {
-        // What is begun for a content is ready from then on.
+        // A shared job that begins adds ready tasks, so jobs with contents are not checked.
         let has_content = |job: &JobId| self.farm.scheduler.spec(*job).is_some_and(|spec| spec.graph.has_content());
         if self.jobs.iter().any(has_content) {
             return;
@@ -1093,7 +1096,7 @@ impl Machine {
         }
     }
 
-    /// A result that is written down again, at once or at the end, changes nothing.
+    /// Checks that applying a result again, immediately or at the end, changes nothing.
     fn counts_each_result_once(&self) {
         let is_result = |fact: &Fact| matches!(fact, Fact::Done { .. });
         let mut ledger = Ledger::default();
@@ -1107,7 +1110,7 @@ impl Machine {
         }
         let now = ledger.now();
         let is_over = |(_, fact): &&(Tick, Fact)| match fact {
-            // Of one that was lost, the same may be made again under no other lease.
+            // A lost result would count again, so only tasks that are done are checked.
             Fact::Done { task, .. } => self.done.contains(task),
             _ => false,
         };
@@ -1118,7 +1121,7 @@ impl Machine {
         }
     }
 
-    /// What was made of a job that is done as a whole was made of all its frames.
+    /// Checks that the own stages of a finished job were made from all its frames.
     fn is_made_of_all(&self, job: JobId, state: JobState) {
         let own = self.results.iter().filter(|(unit, _)| unit.0 == job && unit.1.frame == Stage::OF_JOB);
         for (unit, (epoch, _)) in own.filter(|_| state == JobState::Done) {
@@ -1128,7 +1131,7 @@ impl Machine {
         }
     }
 
-    /// What a task may look at counts, and was made of the frame before.
+    /// Checks that the hints of a task count, and were made in the previous frame.
     fn hints_are_of_the_frame_before(&self, held: &Assignment) {
         let spec = self.farm.scheduler.spec(held.task.job).unwrap();
         for hint in &held.work.hints {
@@ -1141,7 +1144,7 @@ impl Machine {
         }
     }
 
-    /// One good worker and no more faults: every job ends, and a job that is done has every frame.
+    /// Continues with one good worker and without faults: every job ends, and a job that is done has every frame.
     fn finish(&mut self) {
         let jobs: Vec<JobId> = self.jobs.clone();
         for job in jobs {

@@ -1,4 +1,4 @@
-//! The scheduler as a pure function, a module a topic.
+//! Tests of the scheduler as a pure function, one module per topic.
 
 mod accounts;
 mod affinity;

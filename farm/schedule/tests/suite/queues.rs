@@ -1,4 +1,4 @@
-//! Queues of a worker: their depth, tasks that join beside tasks that compute, drains, and pauses of a worker that fails.
+//! Tests of a worker's queues: their depth, join tasks beside compute tasks, drains, and pauses of a failing worker.
 
 use crate::common::{Farm, config, job, panic, registration, result_in};
 use femc_model::*;
@@ -6,13 +6,13 @@ use femc_schedule::Config;
 
 use Decision::Done;
 
-/// A farm with the default queues.
+/// Creates a farm with the default queues.
 fn farm() -> Farm {
     let Config { prefetch, queue, ahead, .. } = Config::default();
     Farm::with(Config { prefetch, queue, ahead, lease: 60_000, ..config() })
 }
 
-/// The worker does its oldest task in so many milliseconds.
+/// Completes the worker's oldest task after these milliseconds.
 fn work_in(farm: &mut Farm, worker: u64, milliseconds: u64) {
     let held = farm.first_of(worker);
     farm.wait(milliseconds);
@@ -27,7 +27,7 @@ fn short_tasks_of_one_job_do_not_deepen_the_queue_for_another() {
     farm.join(1);
     (0..100).for_each(|_| work_in(&mut farm, 1, 1));
     assert!(farm.tasks_of(1).len() > 60, "tasks of a millisecond are queued: {}", farm.tasks_of(1).len());
-    // A job of higher priority comes. The pace of its tasks is unknown at first; then they take three seconds each.
+    // A job of higher priority is submitted. The pace of its tasks is unknown at first; then they take three seconds each.
     let slow = farm.submit(JobSpec { priority: 90, ..job(&[1], 60, &[4]) });
     let held = |farm: &Farm| farm.held.iter().filter(|(_, held)| held.task.job == slow).count();
     while farm.first_of(1).task.job != slow {
@@ -67,7 +67,7 @@ fn frames_are_put_together_at_once(prefetch: u32) {
     let is_image = |(_, held): &&(WorkerId, Assignment)| held.task.stage.kind == StageKind::Image;
     let mut images = 0;
     while farm.state(ann) != JobState::Done {
-        // The workers compute side by side; nothing joins before it is leased.
+        // The workers compute in parallel; no join task starts before it is leased.
         farm.wait(8_000);
         for worker in 1..=2 {
             let of_worker = |(holder, held): &&(WorkerId, Assignment)| {
@@ -115,7 +115,7 @@ fn a_sick_worker_that_is_alone_fails_few_tasks_a_minute_and_says_so() {
     println!("{attempts} attempts in a minute");
     assert!((5..=12).contains(&attempts), "{attempts} attempts in a minute");
     assert_eq!(farm.state(id), JobState::Running);
-    // Repaired, it is given one task to prove itself, and then goes on.
+    // The repaired worker gets one task as a probe, and then more.
     while farm.held.is_empty() {
         farm.wait(1_000);
         farm.heartbeat(1, Phase::Waiting, 0);

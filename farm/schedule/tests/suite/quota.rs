@@ -1,4 +1,4 @@
-//! What one owner may have waiting.
+//! Tests of the quota of an owner.
 
 use crate::common::{Farm, config, job};
 use femc_model::{Control, JobId, JobSpec, Refusal};

@@ -1,4 +1,4 @@
-//! Single frames that are tried again: what happens to them, and that nothing happens to the others.
+//! Tests of retries of single frames, which must not affect other frames.
 
 use crate::common;
 use crate::common::{Farm, job, panic};
@@ -8,7 +8,7 @@ use femc_schedule::*;
 use Decision::Done;
 use StageKind::Render;
 
-/// A job of four frames of which the first three have failed.
+/// Creates a job of four frames of which the first three have failed.
 fn failed() -> (Farm, JobId) {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2, 3, 4], 1, &[4]));
@@ -54,7 +54,7 @@ fn only_the_frames_that_are_named_are_tried_again() {
     let status = farm.status(id);
     assert_eq!((status.state, status.frames_done, status.frames_failed), (JobState::Failed, 3, 1));
     assert_eq!(status.waits, [Wait::Quarantined { frame: 2, tasks: 1 }]);
-    // After a restart from a snapshot, too.
+    // The same holds after a restart from a snapshot.
     farm.restart();
     let ledger = farm.scheduler.ledger();
     assert_eq!(Ledger::decode(&ledger.encode().unwrap()).as_ref(), Ok(ledger));
@@ -88,7 +88,7 @@ fn what_names_no_frame_of_the_job_is_refused_and_changes_nothing() {
         assert!(field == "frames" && message.contains(word), "{message}");
     }
     assert_eq!(farm.scheduler.ledger(), &before);
-    // What is finished stays so; that is not told as a fault.
+    // A finished frame stays finished; this is not reported as an error.
     assert_eq!(refusal(&farm.control(id, frames(&[4]))), None);
     assert_eq!(farm.scheduler.ledger(), &before);
 }

@@ -1,4 +1,4 @@
-//! What the scheduler promises, a sentence each.
+//! Tests of the scheduler's guarantees, one statement per test.
 
 use crate::common;
 use crate::common::{Farm, answer, job, panic, registration, result};
@@ -242,7 +242,7 @@ fn a_worker_that_is_silent_is_told_as_such_and_not_as_one_that_rests() {
     farm.join(1);
     farm.wait(5_000);
     assert_eq!(farm.status(id).waits, [Wait::WorkersSilent { workers: 1, seconds: 5 }]);
-    // Another that works changes nothing about the first.
+    // Another working worker changes nothing for the first one.
     farm.join(2);
     let silent = Wait::WorkersSilent { workers: 1, seconds: 5 };
     assert_eq!(farm.status(id).waits, [Wait::WorkersBusy { workers: 1 }, silent]);
@@ -339,7 +339,7 @@ fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_prove
         let held = farm.first_of(1);
         farm.fail(1, &held, panic());
     }
-    // It still held one more task; when that fails too, nothing changes.
+    // It still holds one more task; when that fails too, nothing changes.
     let held = farm.first_of(1);
     farm.fail(1, &held, panic());
     assert!(farm.tasks_of(1).is_empty());
@@ -359,7 +359,7 @@ fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_prove
     assert!(farm.tasks_of(1).is_empty());
     assert!(farm.status(id).waits.contains(&Wait::WorkersQuarantined { workers: 1, seconds: 120 }), "twice as long");
 
-    // With nobody else there it must do, after a pause of seconds and with one task.
+    // Without another worker it gets tasks after a pause of seconds, one at a time.
     farm.leave(2);
     assert_eq!(farm.tasks_of(1), []);
     farm.wait(2_000);
@@ -382,7 +382,7 @@ fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count()
     };
     let (first, second) = (own(&farm, 1), own(&farm, 2));
     farm.restart();
-    // The first worker is back before the second, and gets nothing that is the second's.
+    // The first worker is back before the second, and gets no task of the second.
     farm.rejoin(11, &first);
     assert_eq!(own(&farm, 11), first);
     assert_eq!(farm.status(id).waits, [Wait::Regrouping { milliseconds: 500 }]);
@@ -408,7 +408,7 @@ fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out
     farm.heartbeat(1, Phase::Working, 9);
     farm.wait(400);
     assert_eq!((farm.first_of(1).epoch, farm.tasks_of(2).len()), (held.epoch, 0));
-    // A coordinator that stumbles all the time lets leases run out all the same.
+    // Leases expire even if the coordinator stalls all the time.
     for _ in 0..100 {
         farm.on(Event::LoopStalled);
         farm.heartbeat(2, Phase::Waiting, 0);
@@ -429,7 +429,7 @@ fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_
     assert!(commands.iter().any(|c| matches!(c, Command::Revoke { task, .. } if *task == held.task)), "{commands:?}");
     assert!(refused(&farm.complete(3, &held, Done)), "the other worker's lease counts");
 
-    // Another farm's job of the same number; nothing but its key tells it from this one.
+    // A job of another farm with the same number; only its key differs.
     for (job_is, is_taken_back) in [(job(&[1], 3, &[8]), false), (job(&[1], 2, &[8]), true)] {
         let mut farm = Farm::new();
         assert_eq!(farm.submit(job(&[1], 3, &[8])), id);
@@ -445,13 +445,13 @@ fn a_worker_that_starts_again_takes_its_lease_from_the_session_that_nobody_has_h
     let id = farm.submit(job(&[1], 1, &[8]));
     farm.join(1);
     let held = farm.first_of(1);
-    // Another process: nothing but the lease tells that it is the same worker.
+    // Another process: only the lease shows that it is the same worker.
     let commands = farm.rejoin(2, std::slice::from_ref(&held));
     assert!(!commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
     assert!(refused(&farm.complete(1, &held, Done)), "the old session has lost it");
     assert!(recorded(&farm.complete(2, &held, Done)), "and nobody else has got it");
     assert_eq!(farm.status(id).stale_messages, 1);
-    // One that comes with the lease again, later, changes nothing.
+    // A later process with the same lease changes nothing.
     let commands = farm.rejoin(3, std::slice::from_ref(&held));
     assert!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
 }
@@ -463,13 +463,13 @@ fn a_failure_that_counts_is_not_counted_again_by_a_worker_that_brings_its_lease_
     farm.join(1);
     let held = farm.first_of(1);
     farm.fail(1, &held, panic());
-    // The coordinator dies before it says so.
+    // The coordinator dies before it acknowledges the failure.
     farm.restart();
     let commands = farm.rejoin(2, std::slice::from_ref(&held));
     let is_over = |c: &Command| matches!(c, Command::Revoke { epoch, .. } if *epoch == held.epoch);
     assert!(commands.iter().any(is_over), "{commands:?}");
     assert!(refused(&farm.fail(2, &held, panic())));
-    // One that was granted later is adopted.
+    // A lease that was granted later is adopted.
     let later = farm.first_of(2);
     assert!(later.epoch > held.epoch);
     farm.restart();
@@ -492,7 +492,7 @@ fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_und
     assert!(recorded(&farm.work(1, Done)) && recorded(&farm.work(1, Done)));
     assert_eq!(farm.tasks_of(1), []);
     assert!(farm.status(id).waits.contains(&Wait::WorkersDraining { workers: 1 }), "{:?}", farm.status(id).waits);
-    // What the worker wants does not count, nor a new session of it, nor a new coordinator.
+    // The worker's own wish does not end the drain, nor does a new session or a new coordinator.
     farm.on(Event::Available { worker: WorkerId(1) });
     assert_eq!(farm.tasks_of(1), []);
     farm.restart();
@@ -501,7 +501,7 @@ fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_und
     assert_eq!(farm.scheduler.workers(farm.now)[0].intake, Intake::Drained);
     farm.on(Event::Drained { worker: WorkerId(2), drain: Drain::Undo });
     assert_eq!(farm.tasks_of(2).len(), 2);
-    // Of itself it may want none, too.
+    // The worker itself may stop accepting tasks, too.
     farm.on(Event::Draining { worker: WorkerId(2) });
     assert!(recorded(&farm.work(2, Done)) && recorded(&farm.work(2, Done)));
     assert_eq!((farm.tasks_of(2), farm.scheduler.workers(farm.now)[0].intake), (vec![], Intake::Off));
@@ -534,7 +534,7 @@ fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
     let both = [(0, "w".to_owned(), Attempt::Failed), (1, "w".to_owned(), Attempt::Done)];
     assert_eq!((logs(&farm, 0), logs(&farm, 10)), (both.to_vec(), both[1..].to_vec()));
     assert_eq!(farm.scheduler.unreferenced(vec![Artifact::of(&0usize.to_le_bytes()).digest]), []);
-    // A worker that writes without end: the oldest goes, the failure stays.
+    // A worker that logs without end: the oldest log is removed, the failure's log stays.
     let mut discarded = 0;
     for index in 2..600 {
         let commands = farm.on(logged(&second, Attempt::Done, stored(index)));
@@ -560,7 +560,7 @@ fn of_very_many_failures_the_first_logs_and_the_latest_are_kept() {
         let text = LogText::Stored(Artifact::of(&number.to_le_bytes()));
         log(&mut farm, number, Attempt::Failed, text);
     }
-    // Nor do logs of tiles push them out of an answer.
+    // Logs of tiles do not displace them in an answer, either.
     (0..3_000).for_each(|number| log(&mut farm, number, Attempt::Done, LogText::Inline("tile".into())));
     let logs = farm.scheduler.logs(id, Tick(0)).unwrap();
     let failures = logs.iter().filter(|record| record.log.attempt == Attempt::Failed);
@@ -620,7 +620,7 @@ fn a_worker_that_is_to_prove_itself_and_loses_its_task_to_no_fault_of_its_own_ge
     let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
     farm.submit(job(&[1], 12, &[8]));
     farm.join(1);
-    // It is trusted, and has enough to do.
+    // Worker 2 is trusted and has enough tasks.
     farm.join(2);
     for _ in 0..3 {
         let held = farm.first_of(1);

@@ -1,4 +1,4 @@
-//! What is done once for all frames and jobs of one content, a sentence each.
+//! Tests of shared jobs, which are done once for all frames and jobs with one content.
 
 use crate::common::{Farm, config, of, panic, registration};
 use femc_model::*;
@@ -6,7 +6,7 @@ use femc_schedule::*;
 
 use StageKind::{Drill, Image};
 
-/// Two blocks and the field that reads them, for all of one content; an image a frame.
+/// Creates a job with two blocks and the field that reads them, shared by content, and an image per frame.
 fn job(owner: &str, frames: &[u32], content: u8) -> Box<JobSpec> {
     let drill = |tasks, makes| Template::new(Drill, Scope::Content, Sizes::even(tasks, 1), &[makes]);
     let image = Template::new(Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image]);
@@ -19,7 +19,7 @@ fn job(owner: &str, frames: &[u32], content: u8) -> Box<JobSpec> {
     Box::new(JobSpec { owner: owner.into(), contents, ..of(frames, 1, Graph { stages }) })
 }
 
-/// Does the worker's oldest task after so many milliseconds.
+/// Completes the worker's oldest task after these milliseconds.
 fn work(farm: &mut Farm, worker: u64, milliseconds: u64) -> TaskKey {
     let held = farm.first_of(worker);
     let (roles, decision): (&[Role], _) = match (held.task.stage.kind, held.task.stage.number) {
@@ -94,7 +94,7 @@ fn its_time_is_split_over_the_owners_who_wait_by_weight_and_the_rest_is_the_firs
     }
     farm.join(1);
     work(&mut farm, 1, 13);
-    // Weights 1, 3, 1 of 13 ms: 2, 7, 2, and 2 ms are left over.
+    // 13 ms with weights 1, 3, 1 give 2, 7, 2, and a remainder of 2 ms.
     assert_eq!(used(&farm), [("ann".to_owned(), 4), ("bob".to_owned(), 7), ("eve".to_owned(), 2)]);
 }
 
@@ -223,7 +223,7 @@ fn a_frame_goes_on_with_its_build_though_another_has_begun_what_it_needs() {
         farm.fail(1, &held, panic());
     }
     assert_eq!(farm.state(ann), JobState::Failed, "half of the frame is done");
-    // What nobody needs any more goes.
+    // A shared job that no job needs any more is removed.
     for _ in 0..3 {
         farm.wait(1_000);
         farm.heartbeat(1, Phase::Working, 0);
@@ -371,7 +371,7 @@ fn is_forgotten(farm: &Farm, shared: JobId) -> bool {
     farm.log.iter().any(|(_, fact)| *fact == Fact::Forgotten { job: shared })
 }
 
-/// So many milliseconds, in which these workers are heard of once a second.
+/// Lets time pass while these workers send heartbeats once a second.
 fn wait_with(farm: &mut Farm, workers: &[u64], milliseconds: u64) {
     for _ in 0..milliseconds / 1_000 {
         workers.iter().for_each(|&worker| drop(farm.heartbeat(worker, Phase::Working, 0)));
@@ -416,7 +416,7 @@ fn what_no_worker_there_can_go_on_with_is_forgotten_after_a_while_though_others_
     work(&mut farm, 1, 10);
     let shared = held(&farm, 1).unwrap().job;
     wait_with(&mut farm, &[1, 2], 2 * orphaned);
-    // A moment without a connection costs nothing.
+    // A short loss of the connection does no harm.
     farm.leave(1);
     wait_with(&mut farm, &[2], orphaned / 2);
     join_as(&mut farm, 3, "e", &["lab"]);
@@ -430,7 +430,7 @@ fn what_no_worker_there_can_go_on_with_is_forgotten_after_a_while_though_others_
 
 #[test]
 fn what_is_begun_and_nobody_needs_any_more_counts_like_what_is_done_and_the_oldest_goes_first() {
-    // Room for two contents.
+    // There is room for two contents.
     let mut farm = farm(Config { shared_bytes: Config::SHARED_OVERHEAD * 5 / 2, ..config() });
     farm.join(1);
     let begin = |farm: &mut Farm, content: u8| {

@@ -1,4 +1,4 @@
-//! How owners share the farm's time, and what they are charged for it.
+//! Tests of how owners share the farm's time, and what they are charged.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ fn of(owner: &str, tiles: u32) -> JobSpec {
     JobSpec { owner: owner.into(), ..job(&[1], tiles, &[8]) }
 }
 
-/// What owners were charged, in milliseconds.
+/// Returns the milliseconds charged to each owner.
 fn charged(farm: &Farm) -> BTreeMap<String, u64> {
     farm.scheduler.used().map(|(owner, used)| (owner.to_owned(), used.held)).filter(|(_, held)| *held > 0).collect()
 }
@@ -20,19 +20,19 @@ fn owner(farm: &Farm, held: &Assignment) -> String {
     farm.scheduler.spec(held.task.job).expect("the job is there").owner.clone()
 }
 
-/// Workers that do the oldest of their tasks, side by side, each in the time that its job's tasks take.
+/// Workers that each compute their oldest task, in parallel. A task takes the time of its job's tasks.
 #[derive(Default)]
 struct Shift {
-    /// What each worker is at, and when it is done with it.
+    /// Present task of each worker, and the time at which it is done.
     at: BTreeMap<u64, (Epoch, Tick)>,
-    /// Milliseconds of work that were done, by owner.
+    /// Milliseconds of finished work, by owner.
     done: BTreeMap<String, u64>,
-    /// Whose tasks were done, in their order.
+    /// Owners of the finished tasks, in order.
     order: Vec<String>,
 }
 
 impl Shift {
-    /// Does tasks one after the other, as many as that.
+    /// Completes `tasks` tasks one after the other.
     fn work(&mut self, farm: &mut Farm, tasks: usize, takes: impl Fn(&str) -> u64) {
         for _ in 0..tasks {
             let workers: Vec<u64> = farm.scheduler.workers(farm.now).iter().map(|worker| worker.worker.0).collect();
@@ -57,7 +57,7 @@ impl Shift {
     }
 }
 
-/// Leases last for ever, so that nobody has to send heartbeats, and nobody goes on out of turn.
+/// Returns a configuration in which leases last forever, so that no heartbeats are needed, and no worker works out of turn.
 fn patient() -> Config {
     Config { lease: 1 << 40, late: 1 << 40, task: 0, ..config() }
 }
@@ -69,7 +69,7 @@ fn owners_share_the_time_by_their_weights() {
     farm.submit(of("bob", 4000));
     (1..=4).for_each(|worker| drop(farm.join(worker)));
     let mut shift = Shift::default();
-    // Bob's tasks take twice as long: it is time that is shared, not tasks.
+    // Bob's tasks take twice as long: time is shared, not the number of tasks.
     shift.work(&mut farm, 800, |owner| if owner == "ann" { 250 } else { 500 });
     let (ann, bob) = (shift.done["ann"], shift.done["bob"]);
     let share = ann as f64 / (ann + bob) as f64;
@@ -111,12 +111,12 @@ fn what_owners_have_used_is_known_after_a_restart() {
     shift.work(&mut farm, 100, |_| 250);
     let (before, now) = (charged(&farm), farm.now);
     assert_eq!(before.values().sum::<u64>(), now.0, "the worker's time, to the millisecond");
-    // Killed at any time, it forgets five seconds of each worker at most.
+    // A killed coordinator loses at most five seconds of each worker.
     farm.restart();
     let after = charged(&farm);
     let forgotten = before.values().sum::<u64>() - after.values().sum::<u64>();
     assert!(forgotten <= Scheduler::NOTE_SHARES && after["ann"] > 20_000, "{before:?} {after:?}");
-    // Bob has come when ann had used 25 s, and has nothing to make up for; nor has she.
+    // Bob came when ann had used 25 s. Neither of them has to make up for the difference.
     farm.join(2);
     let mut shift = Shift::default();
     shift.work(&mut farm, 40, |_| 250);
@@ -163,7 +163,7 @@ fn a_lease_is_charged_for_the_time_that_it_was_held_however_it_ends_and_once() {
         sum += milliseconds;
         sum
     };
-    // Done, whatever the worker says that it took.
+    // The charge does not depend on the duration that the worker reports.
     let expected = passes(&mut farm, 700);
     let held = farm.first_of(1);
     farm.complete_with(1, &held, result_in(&held, Decision::Done, 0.001));
@@ -190,7 +190,7 @@ fn a_lease_is_charged_for_the_time_that_it_was_held_however_it_ends_and_once() {
     let expected = passes(&mut farm, 5_000);
     farm.on(Event::Elapsed);
     assert_eq!(ann(&farm), expected, "expired");
-    // It is silent and gets nothing.
+    // The worker is silent and gets nothing.
     farm.wait(1_000);
     farm.join(5);
     let expected = passes(&mut farm, 23);

@@ -1,4 +1,4 @@
-//! A snapshot, and the facts since on top of what was read from it, give the ledger that made them.
+//! Tests that a snapshot, together with the facts after it, gives the ledger that made them.
 
 use std::collections::HashSet;
 
@@ -11,7 +11,7 @@ use Decision::{Continue, Done};
 /// A disk with a snapshot and the facts since.
 struct Disk {
     snapshot: Vec<u8>,
-    /// Facts of the farm's log that the snapshot holds.
+    /// Number of facts in the farm's log that the snapshot includes.
     held: usize,
 }
 
@@ -20,7 +20,7 @@ impl Disk {
         Self { snapshot: farm.scheduler.ledger().encode().unwrap(), held: farm.log.len() }
     }
 
-    /// What a coordinator that begins now would know.
+    /// Returns the ledger that a starting coordinator would read.
     fn read(&self, farm: &Farm) -> Ledger {
         let mut ledger = Ledger::decode(&self.snapshot).unwrap();
         for (now, fact) in &farm.log[self.held..] {
@@ -30,7 +30,7 @@ impl Disk {
         ledger
     }
 
-    /// The next snapshot takes the place of this one and of the facts since.
+    /// Replaces this snapshot and the facts since with a new snapshot.
     fn replace(&mut self, farm: &Farm) {
         let before = self.read(farm);
         *self = Self::of(farm);
@@ -38,14 +38,14 @@ impl Disk {
     }
 }
 
-/// The worker does its oldest task, if it has one.
+/// Completes the worker's oldest task, if it has one.
 fn work(farm: &mut Farm, worker: u64, decision: Decision) {
     if farm.held.iter().any(|(holder, _)| holder.0 == worker) {
         farm.work(worker, decision);
     }
 }
 
-/// The farm's life, a few events at a time.
+/// Life of a farm, a few events at a time.
 const LIFE: &[fn(&mut Farm)] = &[
     |farm| {
         let (key, spec) = (Some("fog".into()), Box::new(job(&[1, 2], 2, &[4, 8])));
@@ -80,7 +80,7 @@ const LIFE: &[fn(&mut Farm)] = &[
 
 #[test]
 fn a_snapshot_says_what_the_one_before_it_and_the_facts_since_say_whenever_it_is_made() {
-    // Whatever is in one snapshot, and whatever comes after it.
+    // Vary which events a snapshot includes, and which come after it.
     for every in 1..=LIFE.len() {
         let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..config() });
         let mut disk = Disk::of(&farm);
@@ -97,13 +97,13 @@ fn a_snapshot_says_what_the_one_before_it_and_the_facts_since_say_whenever_it_is
     }
 }
 
-/// The life of a farm as a program with version 8 of the log wrote it: a snapshot, and all facts, each after its length.
+/// Life of a farm, written by a program with version 8 of the log: a snapshot, and all facts, each preceded by its length.
 const LOG_8: &[u8] = include_bytes!("../files/log-8.bin");
 
-/// The ledger at the end of that life, as a snapshot of version 9.
+/// Ledger at the end of that life, as a snapshot of version 9.
 const LEDGER_OF_LOG_8: &[u8] = include_bytes!("../files/ledger-9.bin");
 
-/// The parts of a file: a snapshot, and the facts, of this version.
+/// Returns the parts of a file of this version: a snapshot, and the facts.
 fn parts(mut file: &[u8], version: u8) -> Vec<&[u8]> {
     let mut parts = Vec::new();
     while let Some((length, after)) = file.split_first_chunk::<4>() {
@@ -139,7 +139,7 @@ fn a_log_of_version_8_is_read_as_the_ledger_that_wrote_it() {
     assert_eq!(names, [("fog".to_owned(), None), ("fog".to_owned(), None)]);
 }
 
-/// The same of a program with version 10.
+/// Life of a farm, written by a program with version 10 of the log.
 const LOG_10: &[u8] = include_bytes!("../files/log-10.bin");
 
 #[test]

@@ -1,4 +1,4 @@
-//! A job frame by frame and task by task.
+//! Tests of the tables of a job's frames and tasks.
 
 use crate::common;
 use crate::common::{Farm, job, panic};
@@ -25,7 +25,7 @@ fn frames(farm: &Farm, id: JobId) -> Vec<TaskState> {
 fn tasks_wait_run_and_are_done_and_so_are_their_frames() {
     use TaskState::{Done as Finished, Queued, Running, Waiting};
     let mut farm = Farm::new();
-    // Two tiles and an image of each frame.
+    // Each frame has two tiles and an image.
     let id = farm.submit(job(&[1, 2], 2, &[4]));
     assert_eq!((states(&farm, id), frames(&farm, id)), (vec![Waiting; 6], vec![Waiting; 2]));
     farm.join(1);
@@ -129,7 +129,7 @@ fn an_outage_does_not_move_the_calendar_date_of_a_submission() {
     let commands = farm.on(Event::Submitted { request: RequestId(7), key: None, spec, date });
     let Some(Answer::Submitted(id)) = common::answer(&commands) else { panic!("{commands:?}") };
     assert_eq!(farm.status(id).submitted_date, date);
-    // The clock of the coordinator after it begins an hour later.
+    // The clock of the next coordinator begins an hour later.
     farm.restart();
     let ledger = farm.replay();
     let (scheduler, _) = Scheduler::new(Config { clock_zero: Some(3_600_000), ..common::config() }, ledger);
@@ -138,7 +138,7 @@ fn an_outage_does_not_move_the_calendar_date_of_a_submission() {
     assert_ne!(farm.status(id).submitted, date);
 }
 
-/// Does all tasks of frame `frame` that worker 1 holds, the image with this error; until it holds another frame's task.
+/// Completes worker 1's tasks of frame `frame`, the image with this error, until it holds a task of another frame.
 fn frame_with_error(farm: &mut Farm, frame: u32, error: f64, decision: &Decision) {
     while farm.held.iter().any(|(_, held)| held.task.stage.frame == frame) {
         let (_, held) =

@@ -1,4 +1,4 @@
-//! What a folder keeps beside its artifacts: files of uploads that nobody finished, which are not listed.
+//! Temporary files of unfinished uploads in a folder. They are not listed as artifacts.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -6,10 +6,10 @@ use std::{fs, io};
 
 use femc_model::Digest;
 
-/// A file of an upload, and its bytes.
+/// A file of an upload, with its size in bytes.
 pub(crate) type Staged = (PathBuf, u64);
 
-/// The files of uploads below `root` that have not changed for `idle`.
+/// Returns the upload files below `root` that have not changed for `idle`.
 pub(crate) fn staged(root: &Path, idle: Duration) -> io::Result<Vec<Staged>> {
     let mut all = Vec::new();
     for folder in fs::read_dir(root)? {
@@ -22,7 +22,7 @@ pub(crate) fn staged(root: &Path, idle: Duration) -> io::Result<Vec<Staged>> {
             if !is_staged(&folder.file_name().to_string_lossy(), &file.file_name().to_string_lossy()) {
                 continue;
             }
-            // One that has been renamed or removed meanwhile is none.
+            // A file that has been renamed or removed meanwhile is skipped.
             let Ok(data) = file.metadata() else { continue };
             if data.modified().is_ok_and(|time| time.elapsed().is_ok_and(|age| age >= idle)) {
                 all.push((file.path(), data.len()));
@@ -32,7 +32,7 @@ pub(crate) fn staged(root: &Path, idle: Duration) -> io::Result<Vec<Staged>> {
     Ok(all)
 }
 
-/// Removes a file; one that is not there is no error.
+/// Removes a file; a missing file is not an error.
 pub(crate) fn remove(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -40,7 +40,7 @@ pub(crate) fn remove(path: &Path) -> io::Result<()> {
     }
 }
 
-/// `object_store` writes `ab/cdef...#1` and renames it at the end.
+/// Checks for an upload file: `object_store` writes `ab/cdef...#1` and renames it at the end.
 fn is_staged(folder: &str, file: &str) -> bool {
     let Some((name, number)) = file.split_once('#') else { return false };
     format!("{folder}{name}").parse::<Digest>().is_ok() && number.parse::<u64>().is_ok()

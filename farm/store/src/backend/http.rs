@@ -1,7 +1,7 @@
-//! HTTP and TLS for `object_store`: hyper and rustls alone, both of which the farm has anyway.
+//! HTTP and TLS for `object_store`, with hyper and rustls only, which the farm needs anyway.
 //!
-//! `object_store`'s own transport is reqwest; it costs a third more of a cold build than this file, and brings root
-//! certificates under a licence that `deny.toml` does not allow. What this costs: no proxies.
+//! The default transport of `object_store` is reqwest. It costs a third more of a cold build than this file, and its root
+//! certificates have a license that `deny.toml` does not allow. The disadvantage of this transport: no proxies.
 
 use std::error::Error;
 use std::pin::Pin;
@@ -21,14 +21,14 @@ use object_store::client::{
 };
 use tokio::time::{Instant, Sleep};
 
-/// Until a connection stands.
+/// Timeout for establishing a connection.
 const CONNECT: Duration = Duration::from_secs(5);
-/// Until an answer begins; a part of an upload goes out before it.
+/// Timeout until an answer begins; this includes the time to send a part of an upload.
 const ANSWER: Duration = Duration::from_secs(60);
-/// Between two pieces of an answer.
+/// Timeout between two pieces of an answer.
 const PIECE: Duration = Duration::from_secs(20);
 
-/// Makes clients.
+/// Factory of HTTP clients.
 #[derive(Debug)]
 pub(super) struct Https;
 
@@ -42,19 +42,19 @@ impl HttpConnector for Https {
     }
 }
 
-/// Whether connections may go without encryption.
+/// Policy for connections without encryption.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Plain {
     /// `http:` and `https:`.
     Allowed,
-    /// `https:` alone.
+    /// `https:` only.
     Refused,
 }
 
-/// Connections over TCP and TLS for hyper's client, with the machine's root certificates.
+/// Returns a connector over TCP and TLS for hyper's client, with the machine's root certificates.
 ///
 /// # Errors
-/// There are no root certificates, and plain connections are refused; or TLS cannot be set up.
+/// The machine has no root certificates and plain connections are refused; or TLS cannot be set up.
 pub fn connector(plain: Plain) -> Result<HttpsConnector<connect::HttpConnector>, Box<dyn Error + Send + Sync>> {
     let mut tcp = connect::HttpConnector::new();
     tcp.set_connect_timeout(Some(CONNECT));
@@ -64,7 +64,7 @@ pub fn connector(plain: Plain) -> Result<HttpsConnector<connect::HttpConnector>,
     Ok(match (HttpsConnectorBuilder::new().with_provider_and_native_roots(provider), plain) {
         (Ok(tls), Plain::Allowed) => tls.https_or_http().enable_http1().wrap_connector(tcp),
         (Ok(tls), Plain::Refused) => tls.https_only().enable_http1().wrap_connector(tcp),
-        // A machine without root certificates can talk to a server that needs none.
+        // Without root certificates, a machine can still connect to servers without TLS.
         (Err(_), Plain::Allowed) => without_roots()?.https_or_http().enable_http1().wrap_connector(tcp),
         (Err(error), Plain::Refused) => return Err(error.into()),
     })
@@ -112,7 +112,7 @@ fn broken(error: &hyper::Error) -> HttpErrorKind {
     }
 }
 
-/// A body that is given up when nothing comes for [`PIECE`].
+/// A body that fails when no data arrives for [`PIECE`].
 struct Patient {
     body: Incoming,
     silence: Pin<Box<Sleep>>,
@@ -153,7 +153,7 @@ mod tests {
         let server = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}/", server.local_addr().unwrap());
         for is_allowed in [false, true] {
-            // A machine without root certificates refuses even earlier.
+            // A machine without root certificates refuses already here.
             let Ok(client) = Https.connect(&ClientOptions::new().with_allow_http(is_allowed)) else { continue };
             let request = hyper::Request::get(&url).body(HttpRequestBody::empty()).unwrap();
             let reached = tokio::select! {

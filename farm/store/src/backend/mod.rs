@@ -1,4 +1,4 @@
-//! What the media need beyond `object_store`.
+//! Code specific to one medium, beyond `object_store`.
 
 pub(crate) mod folder;
 pub(crate) mod http;

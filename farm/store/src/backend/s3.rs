@@ -1,7 +1,7 @@
-//! S3 and what speaks like it: `s3://bucket/prefix` and the usual `AWS_` variables.
+//! Stores on S3-compatible servers: `s3://bucket/prefix` and the usual `AWS_` variables.
 //!
-//! The server must honour `If-None-Match: *` on a put (create if absent): Amazon does, and the tests run against moto's
-//! server, which does (`tests/s3`). An interrupted multipart upload leaves its parts in the bucket, unreadable, until the
+//! The server must support `If-None-Match: *` on a put (create if absent). Amazon supports it, and so does moto's server, which the
+//! tests use (`tests/s3`). An interrupted multipart upload leaves its parts in the bucket. They are unreadable and stay until the
 //! bucket's rule for incomplete uploads removes them.
 
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use crate::StoreError;
 /// Timeout of one S3 call with its retries; longer outages are retried per task.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// The objects below `url`. Nothing is sent yet.
+/// Opens the store at `url`. No request is sent yet.
 pub(crate) fn open(url: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {
     let wrong = |message: &str| StoreError::Url { url: url.to_owned(), message: message.to_owned() };
     let rest = url.strip_prefix("s3://").ok_or_else(|| wrong("it does not begin with s3://"))?;

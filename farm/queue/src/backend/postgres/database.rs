@@ -1,4 +1,4 @@
-//! Where a database is, and what its errors mean for a coordinator.
+//! The address of a PostgreSQL database, and the classification of its errors.
 
 use std::fmt;
 use std::io;
@@ -10,28 +10,28 @@ use sqlx::postgres::{PgConnectOptions, PgConnection, PgSslMode};
 
 use crate::QueueError;
 
-/// A PostgreSQL database by its address. Is shown without user and password.
+/// A PostgreSQL database, given by its address. It is displayed without user and password.
 ///
-/// The connection is encrypted unless the server is on this machine, or the address says `sslmode=disable`; as everywhere
-/// with PostgreSQL, it takes `sslmode=verify-full` (and `sslrootcert=FILE`, where the authority is nobody's that this machine
-/// trusts) to be sure who answers.
+/// The connection is encrypted unless the server is on this machine or the address contains `sslmode=disable`. As usual with
+/// PostgreSQL, the server's identity is verified only with `sslmode=verify-full` (and `sslrootcert=FILE`, if this machine does not
+/// trust the authority that issued the server's certificate).
 #[derive(Clone)]
 pub struct Database {
     url: String,
     options: Box<PgConnectOptions>,
 }
 
-/// What a commit on a connection waits for.
+/// Durability of commits on a connection.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Commit {
-    /// The disk.
+    /// A commit waits for the disk.
     Durable,
-    /// Nothing: what it writes may be forgotten.
+    /// A commit waits for nothing; its writes may be lost.
     Fleeting,
 }
 
 impl Database {
-    /// How long a server may take to let a connection in, or to answer a small question.
+    /// Timeout for establishing a connection and for answering a small query.
     const PATIENCE: Duration = Duration::from_secs(5);
 
     pub(super) async fn connect(&self, commit: Commit) -> Result<PgConnection, QueueError> {
@@ -43,7 +43,7 @@ impl Database {
         self.answers(options.connect()).await
     }
 
-    /// What the server answers to `asked`, unless that takes too long.
+    /// Waits for the server's answer to `asked`, with a timeout.
     pub(super) async fn answers<T>(
         &self,
         asked: impl Future<Output = Result<T, sqlx::Error>>,
@@ -58,7 +58,7 @@ impl Database {
         QueueError::Away { database: self.to_string(), message: message.to_string() }
     }
 
-    /// Why a connection that failed would fail again.
+    /// Returns the reason if a failed connection would fail again.
     fn hopeless(&self, error: &io::Error) -> Option<String> {
         use rustls::Error::{AlertReceived, InvalidCertificate, PeerIncompatible};
         let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
@@ -67,7 +67,7 @@ impl Database {
                 "{error}; it takes `sslrootcert=FILE` with its authority, and the name that its certificate has"
             )),
             (Some(AlertReceived(_) | PeerIncompatible(_)), _) => Some(error.to_string()),
-            // A connection to a port does not fail so; that to a socket in a folder does while the server is away.
+            // Connections to a port do not fail with these errors. Connections to a socket in a folder do while the server is away.
             (None, io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied)
                 if self.options.get_socket().is_none() && self.url.contains("ssl") =>
             {
@@ -77,16 +77,16 @@ impl Database {
         }
     }
 
-    /// What an error means: by the classes of PostgreSQL's codes.
+    /// Converts an error, according to the class of its PostgreSQL code.
     pub(super) fn map_sql_error(&self, error: &sqlx::Error) -> QueueError {
         let rejected = |message: String| QueueError::Rejected { database: self.to_string(), message };
         match error {
             sqlx::Error::Database(said) => match said.code().as_deref().map(|code| code.split_at(2)) {
-                // Authorization; no such database; no right to do this.
+                // Invalid authorization; unknown database; insufficient privilege.
                 Some(("28", _) | ("3D", _) | ("42", "501")) => rejected(said.message().to_owned()),
-                // A full disk: the server goes on without it.
+                // Disk full: the server keeps running.
                 Some(("53", "100")) => QueueError::Full { place: self.to_string(), message: said.message().to_owned() },
-                // Connection, a transaction that gave way, a read-only server, resources, shut down, the system.
+                // Connection error, transaction rollback, read-only server, insufficient resources, shutdown, system error.
                 Some(("08" | "25" | "40" | "53" | "57" | "58", _)) => self.away(said.message()),
                 _ => QueueError::Database { database: self.to_string(), message: said.message().to_owned() },
             },
@@ -133,7 +133,7 @@ impl fmt::Display for Database {
             Some(folder) => write!(f, "{}", folder.display())?,
             None => write!(f, "{}:{}", self.options.get_host(), self.options.get_port())?,
         }
-        // As PostgreSQL has it, a database that is not named has the user's name.
+        // In PostgreSQL, the default database name is the user's name.
         write!(f, "/{}", self.options.get_database().unwrap_or(self.options.get_username()))
     }
 }

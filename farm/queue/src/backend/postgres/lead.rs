@@ -1,4 +1,4 @@
-//! Standing by until this coordinator leads.
+//! Leader election: a standby waits until this coordinator leads.
 
 use std::time::Duration;
 
@@ -11,17 +11,17 @@ use super::pulse::Pulse;
 use super::{Postgres, schema};
 use crate::{Loss, QueueError};
 
-/// Held by who leads, on the connection that writes: the letters of femc.
+/// Key of the advisory lock that the leader holds on its writing connection: the letters `femc`.
 const LOCK: i64 = 0x6665_6d63;
 
-/// Takes the lock and the next epoch in one statement: a coordinator that freezes has both or neither.
+/// Takes the lock and the next epoch in one statement: a coordinator that freezes has either both or neither.
 const TAKE: &str = "
     WITH lock AS MATERIALIZED (SELECT pg_try_advisory_lock($1) AS had)
     UPDATE femc.leader SET epoch = epoch + 1, url = $2, backend = pg_backend_pid(), seen = clock_timestamp()
     FROM lock WHERE lock.had RETURNING epoch";
 
-/// Who leads, if anybody does: the holder of the lock that also has the epoch. Ends that one's connection, and with it the
-/// lock, if there was no sign of life for `$2` seconds.
+/// Returns the leader, if there is one: the holder of the lock that also has the epoch. Terminates the leader's connection, and
+/// with it the lock, if its last heartbeat is more than `$2` seconds old.
 const LOOK: &str = "
     SELECT leader.url, leader.epoch, CASE
         WHEN leader.seen < clock_timestamp() - make_interval(secs => $2)
@@ -31,16 +31,16 @@ const LOOK: &str = "
         AND held.database = (SELECT oid FROM pg_database WHERE datname = current_database())
         AND held.classid = 0 AND held.objid = $1::bigint::oid AND held.objsubid = 1";
 
-/// Who leads, as the database has it.
+/// The leading coordinator, as recorded in the database.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Leader {
-    /// Where it can be reached.
+    /// Address of the coordinator.
     pub url: String,
     /// Number of the leadership; grows with each new leader.
     pub epoch: i64,
 }
 
-/// A coordinator that waits for its turn.
+/// A coordinator that waits to become the leader.
 #[derive(Debug)]
 pub struct Standby {
     database: Database,
@@ -51,23 +51,24 @@ pub struct Standby {
 }
 
 impl Standby {
-    /// Between two looks.
+    /// Time between two attempts to take the leadership.
     const LOOK: Duration = Duration::from_millis(200);
 
-    /// Connects, and makes the tables if there are none. `url`: where this coordinator can be reached when it leads.
-    /// `silence`: how long a leader may give no sign of life; all coordinators of a farm should agree on it.
+    /// Connects, and creates the tables if they are missing.
+    /// - `url`: address of this coordinator when it leads.
+    /// - `silence`: a leader without a heartbeat for this time is replaced; all coordinators of a farm should use the same value.
     pub async fn open(database: Database, url: String, silence: Duration) -> Result<Self, QueueError> {
         let mut connection = database.connect(Commit::Durable).await?;
         schema::prepare(&database, &mut connection).await?;
         Ok(Self { database, connection, url, silence, loss: Loss::Refused })
     }
 
-    /// What to do with a log that lacks what was acknowledged; without this it is refused.
+    /// Sets the policy for a log that lacks acknowledged records. By default it is refused.
     pub fn with(self, loss: Loss) -> Self {
         Self { loss, ..self }
     }
 
-    /// Waits until this coordinator leads. `hear` is told who leads, at first and whenever that changes.
+    /// Waits until this coordinator leads. Calls `hear` with the current leader, first and after every change.
     pub async fn lead(mut self, mut hear: impl FnMut(Leader) + Send) -> Result<Postgres, QueueError> {
         let mut known = None;
         loop {

@@ -1,12 +1,12 @@
 //! A log in PostgreSQL, for several coordinators of which one leads.
 //!
-//! Who leads holds an advisory lock on the connection that writes, and has the greatest epoch. The lock is how a leader's
-//! death is noticed at once; the epoch is what keeps the log whole: every write checks it within its own transaction, and
-//! keeps it from changing until that has ended. So a leader that was frozen, cut off or declared dead by mistake writes
-//! nothing once another leads. A batch is one statement and so one transaction, durable when it returns.
+//! The leader holds an advisory lock on its writing connection and has the greatest epoch. The lock reveals the leader's death
+//! immediately. The epoch protects the log: every write checks the epoch within its own transaction and keeps it from changing
+//! until the transaction ends. So a leader that was frozen, cut off or declared dead by mistake can write nothing once another one
+//! leads. A batch is one statement and therefore one transaction, durable when it returns.
 //!
-//! Costs a second connection for signs of life ([`pulse`]), and a server. A connection pool between that hands one
-//! connection to many (PgBouncer's transaction mode) takes the lock's meaning away: connect directly.
+//! This needs a server and a second connection for heartbeats ([`pulse`]). A connection pooler that shares one connection among
+//! many clients (PgBouncer's transaction mode) makes the lock meaningless: connect directly.
 
 mod database;
 mod lead;
@@ -25,7 +25,7 @@ pub use database::Database;
 pub use lead::{Leader, Standby};
 use pulse::Pulse;
 
-/// A log that this process leads.
+/// A log whose leader is this process.
 #[derive(Debug)]
 pub struct Postgres {
     database: Database,
@@ -33,22 +33,22 @@ pub struct Postgres {
     pulse: Pulse,
     epoch: i64,
     loss: Loss,
-    /// Number of the next record; they have no gaps.
+    /// Number of the next record; the numbers have no gaps.
     next: i64,
 }
 
 impl Postgres {
-    /// Of the tables, not of the records.
+    /// Version of the tables, not of the records.
     pub const VERSION: i32 = schema::VERSION;
-    /// A leader is taken for dead after this long without a sign of life, unless told otherwise.
+    /// Default time after which a leader without a heartbeat counts as dead.
     pub const SILENCE: Duration = Duration::from_secs(3);
 
-    /// Which leadership this is: each is one more than the one before.
+    /// Returns the epoch of this leadership: each leadership has the next greater one.
     pub fn epoch(&self) -> i64 {
         self.epoch
     }
 
-    /// Does `work` on the connection while this process leads.
+    /// Runs `work` on the connection. Fails as soon as this process cannot be sure that it leads.
     async fn leading<T>(
         database: &Database,
         pulse: &mut Pulse,
@@ -62,8 +62,8 @@ impl Postgres {
     }
 }
 
-/// `SELECT`s the leader's row if the epoch in `$1` leads, and keeps others from leading until the transaction ends. Signs
-/// of life are not kept waiting: they leave the key alone.
+/// `SELECT`s the leader's row if the epoch in `$1` leads, and prevents a change of leader until the transaction ends. Heartbeats
+/// are not blocked, because they do not change the key.
 macro_rules! mine {
     ($rest:literal) => {
         concat!("WITH mine AS MATERIALIZED (SELECT epoch FROM femc.leader WHERE epoch = $1 FOR KEY SHARE) ", $rest)
@@ -85,14 +85,14 @@ const SNAPSHOT: &str = mine!(
      INSERT INTO femc.snapshot (sequence, checksum, state) SELECT $2, $3, $4 FROM mine
      ON CONFLICT (sequence) DO UPDATE SET checksum = excluded.checksum, state = excluded.state"
 );
-/// Answers with the number of the last record that it cuts off.
+/// Removes the records after `$2`, with their notes. Returns the number of the last removed record.
 const CUT: &str = mine!(
     ", noted AS (DELETE FROM femc.notes WHERE sequence > $2 AND EXISTS (SELECT FROM mine)),
        cut AS (DELETE FROM femc.log WHERE sequence > $2 AND EXISTS (SELECT FROM mine) RETURNING sequence)
      SELECT (SELECT max(sequence) FROM cut) FROM mine"
 );
-/// Minutes since the year 2020, for as long as an incarnation has 24 bits: so whoever leads a restored dump, or a standby that
-/// has lost the tail, is told from those who led what was lost.
+/// Reserves an incarnation that is at least the number of minutes since the year 2020, as far as 24 bits allow. So a leader of a
+/// restored dump, or of a standby server that has lost the tail, does not reuse the incarnations of the lost leaders.
 const RESERVE: &str = "
     UPDATE femc.leader SET incarnation = greatest(incarnation + 1, $2,
         least(floor(extract(epoch FROM clock_timestamp() - timestamptz '2020-01-01 00:00Z') / 60), 16711680)::bigint)
@@ -102,7 +102,7 @@ fn row(row: &PgRow) -> Result<Row, sqlx::Error> {
     Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
 }
 
-/// The latest snapshot and the records after it.
+/// Reads the latest snapshot and the records after it.
 async fn read(connection: &mut PgConnection) -> Result<(Option<Row>, Vec<Row>), sqlx::Error> {
     let newest = "SELECT sequence, checksum, state FROM femc.snapshot ORDER BY sequence DESC LIMIT 1";
     let snapshot = sqlx::query(newest).fetch_optional(&mut *connection).await?;
@@ -113,7 +113,7 @@ async fn read(connection: &mut PgConnection) -> Result<(Option<Row>, Vec<Row>), 
     Ok((snapshot, rows.iter().map(row).collect::<Result<_, _>>()?))
 }
 
-/// What is in the log, whoever leads.
+/// Returns the content of the log, whichever coordinator leads.
 #[cfg(feature = "testing")]
 pub(crate) async fn look(connection: &mut PgConnection) -> Result<Contents, QueueError> {
     use sqlx::Connection as _;

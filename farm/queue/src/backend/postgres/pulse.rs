@@ -1,8 +1,8 @@
-//! A leader's signs of life, and its own doubt whether it still leads.
+//! A leader's heartbeats, and its own check that it still leads.
 //!
-//! They have a connection of their own, so that a long write or a busy scheduler does not pass for death. A leader counts
-//! itself out by its own clock before others may: it takes a sign for given at the moment when it was sent, they when it
-//! was received.
+//! Heartbeats have their own connection, so that a long write or a busy scheduler does not look like a dead leader. A leader gives
+//! up by its own clock before others may replace it: it measures from the time when a heartbeat was sent, the others from the time
+//! when it was received.
 
 use std::time::Duration;
 
@@ -16,16 +16,16 @@ use crate::QueueError;
 
 const BEAT: &str = "UPDATE femc.leader SET seen = clock_timestamp() WHERE epoch = $1";
 
-/// What the last sign of life has told.
+/// Result of the last heartbeat.
 #[derive(Debug, Clone, Copy)]
 enum Standing {
-    /// This process led at this moment, and leads for as long as the others bear with it.
+    /// This process led at this time, and leads until the allowed silence has passed.
     Leads(Instant),
-    /// Another leads.
+    /// Another coordinator leads.
     Deposed,
 }
 
-/// Beats until it is dropped.
+/// A task that sends heartbeats until it is dropped.
 #[derive(Debug)]
 pub(super) struct Pulse {
     database: Database,
@@ -42,17 +42,18 @@ impl Drop for Pulse {
 }
 
 impl Pulse {
-    /// Longest time between two beats.
+    /// Maximum time between two heartbeats.
     const LONGEST: Duration = Duration::from_secs(1);
 
-    /// `since`: when this process asked for the leadership that it has got.
+    /// Starts the heartbeats.
+    /// - `since`: time at which this process requested the leadership that it now has.
     pub(super) fn start(database: Database, epoch: i64, since: Instant, silence: Duration) -> Self {
         let (tell, standing) = watch::channel(Standing::Leads(since));
         let beating = tokio::spawn(beat(database.clone(), epoch, silence, tell));
         Self { database, epoch, silence, standing, beating }
     }
 
-    /// Fails when this process does not lead, or cannot be sure that it does.
+    /// Fails if this process does not lead, or cannot be sure that it does.
     pub(super) fn check(&self) -> Result<(), QueueError> {
         match *self.standing.borrow() {
             Standing::Leads(since) if since.elapsed() < self.silence => Ok(()),
@@ -61,7 +62,7 @@ impl Pulse {
         }
     }
 
-    /// Returns when [`Self::check`] would fail.
+    /// Waits until [`Self::check`] would fail, and returns its error.
     pub(super) async fn doubt(&mut self) -> QueueError {
         loop {
             let until = match *self.standing.borrow_and_update() {

@@ -1,4 +1,4 @@
-//! The tables, and the version that stands beside them.
+//! The tables in PostgreSQL, and their version.
 
 use sqlx::postgres::PgConnection;
 use sqlx::{Connection as _, Row as _};
@@ -6,17 +6,19 @@ use sqlx::{Connection as _, Row as _};
 use super::database::Database;
 use crate::QueueError;
 
-/// Of the tables.
+/// Version of the tables.
 pub(super) const VERSION: i32 = 2;
 
-/// Held while the tables are made; the letters of fems.
+/// Key of the advisory lock that is held while the tables are created: the letters `fems`.
 const MAKING: i64 = 0x6665_6d73;
 
-/// `leader` has one row, with the highest incarnation that was reserved. Its key is what writes keep from changing; its other
-/// columns may change under them.
+/// Statements that create the tables.
 ///
-/// A note's `sequence` is that of the first record of its batch, or of the last before: a tail that is cut takes along the notes
-/// of batches of which nothing is left.
+/// `leader` has one row, with the highest reserved incarnation. Writes to the log keep its key from changing; its other columns may
+/// change during a write.
+///
+/// A note's `sequence` is the number of the first record of its batch, or of the last record before the batch if it has no records.
+/// When the tail of the log is cut off, this removes the notes of batches that are removed completely.
 const TABLES: &str = "
     CREATE TABLE femc.header (version integer NOT NULL);
     CREATE TABLE femc.leader (epoch bigint PRIMARY KEY, url text NOT NULL, backend integer NOT NULL,
@@ -30,7 +32,7 @@ const TABLES: &str = "
     INSERT INTO femc.leader VALUES (0, '', 0, '-infinity');
 ";
 
-/// Makes the tables where there are none; refuses those of others, and leaves them as they are.
+/// Creates the tables if they are missing. Tables of another program or version are refused and not changed.
 pub(super) async fn prepare(database: &Database, connection: &mut PgConnection) -> Result<(), QueueError> {
     let found = made_or_found(connection).await.map_err(|error| database.map_sql_error(&error))?;
     if found.as_deref() == Some(VERSION.to_string().as_str()) {
@@ -41,7 +43,7 @@ pub(super) async fn prepare(database: &Database, connection: &mut PgConnection) 
 
 async fn made_or_found(connection: &mut PgConnection) -> Result<Option<String>, sqlx::Error> {
     let mut making = connection.begin().await?;
-    // Two coordinators may begin at the same moment.
+    // Two coordinators may start at the same time.
     sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(MAKING).execute(&mut *making).await?;
     let look = "SELECT to_regnamespace('femc') IS NOT NULL, to_regclass('femc.header') IS NOT NULL,
         EXISTS (SELECT FROM pg_class WHERE relnamespace = to_regnamespace('femc'))";
@@ -54,7 +56,7 @@ async fn made_or_found(connection: &mut PgConnection) -> Result<Option<String>, 
         }
         sqlx::raw_sql(TABLES).execute(&mut *making).await?;
     }
-    // By way of JSON: a header of somebody else's may have other columns.
+    // Read through JSON, because the header of another program may have other columns.
     let ask = "SELECT to_jsonb(header) ->> 'version' FROM femc.header LIMIT 1";
     let version: Option<String> = if has_tables && !has_header {
         None

@@ -1,11 +1,11 @@
-//! A log as it should be, and chance that comes again.
+//! A model of the log's contents, and reproducible random numbers.
 #![allow(dead_code, reason = "each suite uses a part of it")]
 
 use std::collections::BTreeMap;
 
 use femc_queue::{Batch, Contents, Note, Page, Queue};
 
-/// SplitMix64: the same numbers from the same seed.
+/// SplitMix64 generator: the same seed gives the same numbers.
 #[derive(Debug, Clone)]
 pub struct Chance(pub u64);
 
@@ -18,19 +18,19 @@ impl Chance {
         z ^ (z >> 31)
     }
 
-    /// 0 <= it < `end`.
+    /// Returns a number from 0 to less than `end`.
     pub fn below(&mut self, end: u64) -> u64 {
         self.next() % end
     }
 
-    /// Up to `most` bytes, now and then none.
+    /// Returns fewer than `most` random bytes, sometimes none.
     pub fn bytes(&mut self, most: u64) -> Vec<u8> {
         let length = if self.below(8) == 0 { 0 } else { self.below(most) };
         (0..length).map(|_| self.next() as u8).collect()
     }
 }
 
-/// A batch that owns what it holds.
+/// A batch that owns its data.
 #[derive(Debug, Clone, Default)]
 pub struct Work {
     pub records: Vec<Vec<u8>>,
@@ -39,7 +39,7 @@ pub struct Work {
 }
 
 impl Work {
-    /// Something, or now and then nothing.
+    /// Creates a random batch, sometimes an empty one.
     pub fn by(chance: &mut Chance) -> Self {
         let most = [1, 3, 9, 80][chance.below(4) as usize];
         let records = (0..chance.below(most)).map(|_| chance.bytes(400)).collect();
@@ -54,7 +54,7 @@ impl Work {
     }
 }
 
-/// What a log should hold.
+/// Expected contents of a log.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Model {
     pub snapshot: Option<Vec<u8>>,
@@ -90,7 +90,7 @@ impl Model {
     }
 }
 
-/// All pages of a subject, put together.
+/// Reads all pages of a subject and concatenates them.
 pub async fn all_notes<Q: Queue>(queue: &mut Q, subject: u64) -> Vec<Vec<u8>> {
     let (mut all, mut from) = (Vec::new(), Some(0));
     while let Some(at) = from {

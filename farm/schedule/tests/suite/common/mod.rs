@@ -1,4 +1,4 @@
-//! A farm to play with: a scheduler, its log, and workers that do as they are told.
+//! A simulated farm: a scheduler, its log, and workers that the test controls.
 #![allow(dead_code, reason = "each test file uses its part")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -6,27 +6,27 @@ use std::collections::{BTreeMap, BTreeSet};
 use femc_model::*;
 use femc_schedule::*;
 
-/// A job of square films of `tiles` tiles in a row, whose images are made of tiles.
+/// Creates a job of square films of `tiles` tiles in a row, whose images are made directly from tiles.
 pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
     of(frames, tiles, rounded(tiles, rounds, 0))
 }
 
-/// The same, whose images are made of groups of `fan` tiles.
+/// Creates such a job, whose images are made from groups of `fan` tiles.
 pub fn grouped(frames: &[u32], tiles: u32, rounds: &[u32], fan: u32) -> JobSpec {
     of(frames, tiles, rounded(tiles, rounds, fan))
 }
 
-/// Number of the stage of this kind in such jobs.
+/// Returns the number of the stage of this kind in such jobs.
 pub fn number(spec: &JobSpec, kind: StageKind) -> u16 {
     spec.graph.iter().find(|(_, template)| template.kind == kind).expect("it has such a stage").0
 }
 
-/// Tiles of 64 pixels.
+/// Creates the graph of such a job, with tiles of 64 pixels.
 pub fn rounded(tiles: u32, rounds: &[u32], fan: u32) -> Graph {
     testing::frames(Sizes::even(tiles, 64), rounds, fan)
 }
 
-/// A job of a graph of its own.
+/// Creates a job with this graph.
 pub fn of(frames: &[u32], tiles: u32, graph: Graph) -> JobSpec {
     JobSpec {
         name: "fog".into(),
@@ -44,26 +44,26 @@ pub fn of(frames: &[u32], tiles: u32, graph: Graph) -> JobSpec {
     }
 }
 
-/// Workers hold one task beyond the one that they run.
+/// Returns a configuration in which workers hold one task beyond the running one.
 pub fn config() -> Config {
     Config { lease: 5_000, prefetch: 1, queue: u64::MAX, ahead: 0, regroup: 0, ..Config::default() }
 }
 
-/// Scheduler, time, and everything that was made durable.
+/// Scheduler, time, and all durable facts.
 pub struct Farm {
     pub scheduler: Scheduler,
     pub now: Tick,
     pub log: Vec<(Tick, Fact)>,
     /// Leases as the workers know them.
     pub held: Vec<(WorkerId, Assignment)>,
-    /// Leases that the last commands have taken back.
+    /// Leases revoked by the last commands.
     pub ended: Vec<(WorkerId, Assignment)>,
-    /// Build of the engine of those that join.
+    /// Build of the engine of joining workers.
     pub engine: &'static str,
     requests: u64,
-    /// What sessions hold, by what was said alone: oldest first, with the owner.
+    /// Leases of each session with their owner, oldest first, derived only from the messages.
     hands: BTreeMap<WorkerId, BTreeMap<(Epoch, TaskKey), String>>,
-    /// Milliseconds of workers that belong to owners, since the last start.
+    /// Milliseconds of worker time charged to each owner since the last start.
     pub charged: BTreeMap<String, u64>,
     heard: Tick,
 }
@@ -89,7 +89,7 @@ impl Farm {
         }
     }
 
-    /// The ledger that the log gives.
+    /// Returns the ledger that results from the log.
     pub fn replay(&self) -> Ledger {
         let mut ledger = Ledger::default();
         for (now, fact) in &self.log {
@@ -99,7 +99,7 @@ impl Farm {
         ledger
     }
 
-    /// The coordinator dies and another goes on from the log; the workers are gone.
+    /// Replaces the coordinator with a new one that resumes from the log; the workers are gone.
     pub fn restart(&mut self) {
         let ledger = self.replay();
         assert_eq!(&ledger, self.scheduler.ledger());
@@ -113,12 +113,12 @@ impl Farm {
         self.charged = self.scheduler.used().map(|(owner, used)| (owner.to_owned(), used.held)).collect();
     }
 
-    /// The owners whose leases workers work on.
+    /// Returns the owners of each session's oldest lease.
     pub fn served(&self) -> BTreeSet<&str> {
         self.hands.values().filter_map(|held| held.first_key_value()).map(|(_, owner)| owner.as_str()).collect()
     }
 
-    /// Charges the time since the last event, of each worker to the owner of its oldest lease.
+    /// Charges the time since the last event: that of each worker to the owner of its oldest lease.
     fn charge(&mut self) {
         let passed = self.now.since(std::mem::replace(&mut self.heard, self.now));
         for owner in self.hands.values().filter_map(|held| held.values().next()) {
@@ -126,7 +126,7 @@ impl Farm {
         }
     }
 
-    /// Whose name stands for what jobs share.
+    /// Owner's name that stands for shared jobs.
     pub const SHARED: &str = "";
 
     fn owner(&self, job: JobId) -> String {
@@ -134,7 +134,7 @@ impl Farm {
         if job.is_shared() { Self::SHARED.to_owned() } else { owner.clone() }
     }
 
-    /// Takes notice of who holds what after an event.
+    /// Updates the leases of the sessions after an event.
     fn learn(&mut self, event: &Event, commands: &[Command]) {
         match event {
             Event::Left { worker } => drop(self.hands.remove(worker)),
@@ -222,20 +222,20 @@ impl Farm {
         self.on(Event::Joined { worker: WorkerId(worker), registration })
     }
 
-    /// A worker comes back in a new session with leases of an earlier one.
+    /// Lets a worker rejoin in a new session with leases of an earlier one.
     pub fn rejoin(&mut self, worker: u64, leases: &[Assignment]) -> Vec<Command> {
         let held: Vec<HeldLease> = leases.iter().map(|held| self.lease(held)).collect();
         self.held.extend(leases.iter().map(|held| (WorkerId(worker), held.clone())));
         self.join_as(worker, Registration { instance: worker, held, engine: self.engine.into(), ..registration() })
     }
 
-    /// A lease as a worker speaks of it.
+    /// Returns a lease as a worker reports it.
     pub fn lease(&self, held: &Assignment) -> HeldLease {
         let job = self.scheduler.spec(held.task.job).expect("the job is there").key();
         HeldLease { task: held.task, epoch: held.epoch, steps: held.work.steps.clone(), job }
     }
 
-    /// A worker comes whose earlier process has died while it computed these.
+    /// Lets a worker join whose earlier process died while it computed these tasks.
     pub fn reborn(&mut self, worker: u64, before: u64, computing: &[Assignment]) -> Vec<Command> {
         let computing = computing.iter().map(|held| self.lease(held)).collect();
         self.held.retain(|(holder, _)| holder.0 != before);
@@ -248,14 +248,14 @@ impl Farm {
         self.on(Event::Left { worker: WorkerId(worker) })
     }
 
-    /// What a worker holds, as (frame, round, kind, index), in the order in which it was told.
+    /// Returns the tasks that a worker holds, as (frame, round, kind, index), in the order of assignment.
     pub fn tasks_of(&self, worker: u64) -> Vec<(u32, u32, StageKind, u32)> {
         let own = self.held.iter().filter(|(holder, _)| holder.0 == worker);
         own.map(|(_, held)| (held.task.stage.frame, held.task.stage.round, held.task.stage.kind, held.task.index))
             .collect()
     }
 
-    /// The worker's oldest lease.
+    /// Returns the worker's oldest lease.
     pub fn first_of(&self, worker: u64) -> Assignment {
         self.held.iter().find(|(holder, _)| holder.0 == worker).expect("it holds a task").1.clone()
     }
@@ -275,7 +275,7 @@ impl Farm {
         self.on(Event::Failed { worker: WorkerId(worker), task: held.task, epoch: held.epoch, failure })
     }
 
-    /// The worker does its oldest task.
+    /// Completes the worker's oldest task.
     pub fn work(&mut self, worker: u64, decision: Decision) -> Vec<Command> {
         let held = self.first_of(worker);
         self.complete(worker, &held, decision)
@@ -322,12 +322,12 @@ pub fn answer(commands: &[Command]) -> Option<Answer> {
     })
 }
 
-/// What an honest worker reports.
+/// Returns the result that a correct worker reports.
 pub fn result(held: &Assignment, decision: Decision) -> TaskResult {
     result_in(held, decision, 0.5)
 }
 
-/// The same after so many seconds of work; what joins takes less.
+/// Returns the result that a correct worker reports after `seconds` of work; join tasks take less.
 pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskResult {
     let Work { steps, more, .. } = &held.work;
     let decision = if *more == More::Last { Decision::Done } else { decision };
@@ -346,7 +346,7 @@ pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskRes
             TaskResult { outputs: all(&[Role::Pixels, Role::Sums]), seconds: seconds / 4.0, ..TaskResult::default() }
         }
         StageKind::Image => {
-            // The sums of an image that reads pixels are where the pixels come from.
+            // The sums of an image that reads pixels are made where the pixels are made.
             let reads_tiles = held.work.of_role(Role::Tile).next().is_some();
             let outputs = match (goes_on, reads_tiles) {
                 (true, true) => all(&[Role::Sums]),

@@ -20,8 +20,8 @@ use femc_prepared::media::{Distance, Event, Inside, MediaRay};
 /// Share of the directions after an event that are sampled from the phase function.
 const BY_PHASE: f32 = 0.5;
 /// Number of segments at whose ends directions may be sampled toward lights. In thick fog a path has thousands of segments, and the
-/// product of so many factors with mean 1 would nearly always be close to 0. On the drive, a value of 6 makes paths a seventh
-/// longer than 24, and the variance is not lower.
+/// product of so many factors with mean 1 would nearly always be close to 0. On the drive through the roundabout, a value of 6
+/// makes paths a seventh longer than 24, and the variance is not lower.
 const GUIDED: u32 = 24;
 /// Number of angles at which the lights are evaluated, for a camera ray, whose light counts most, and for later ones.
 const ANGLES_FROM_CAMERA: u32 = 6;

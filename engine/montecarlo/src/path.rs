@@ -22,8 +22,8 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Number of rays after which Russian roulette may end a path.
 const ROULETTE_FROM: u32 = 4;
-/// Threshold of Russian roulette in a scene without media. A path survives with certainty while it has at least this share of its
-/// weight. A share of 1 would end paths earlier: on Cornell boxes that costs a quarter more variance and saves 15 % of the work.
+/// Threshold of Russian roulette in a scene without media. A path survives with certainty while its weight is at least this. A
+/// threshold of 1 would end paths earlier: on Cornell boxes that costs a quarter more variance and saves 15 % of the work.
 const SPARED: f32 = 0.25;
 /// Threshold of Russian roulette in a scene with media. There, later vertices of a path cost more (each also has a segment of fog)
 /// and contribute less.
@@ -159,7 +159,8 @@ impl<'a> Tracer<'a> {
 }
 
 impl<'a, R: Recorder> Tracer<'a, R> {
-    /// Creates a tracer of `scene` that reports its paths to `recorder`. The samples are identical to the bit.
+    /// Creates a tracer of `scene` that reports its paths to `recorder`. The samples are identical to the bit to those without a
+    /// recorder.
     pub fn recording(scene: &'a Prepared, settings: PathSettings, recorder: R) -> Self {
         Self {
             scene,
@@ -695,14 +696,14 @@ fn lobes(bsdf: &Bsdf, wo: Vec3A, dir: Vec3A) -> Option<Lobes> {
 
 /// Performs Russian roulette, and ends paths with a throughput of 0.
 ///
-/// The survival probability depends on the lost throughput relative to the threshold. Where little is absorbed, a path of many
-/// segments keeps its weight; weights that grew with every segment would have infinite variance. A long path ends all the same: its
-/// probability to have `n` rays is `LONG / n`, so that weights grow no faster than paths, and the square of that over `VERY_LONG`,
-/// so that the mean length is bounded in endless fog that absorbs nothing.
+/// The survival probability is the remaining weight over the threshold. Where little is absorbed, a path of many segments keeps its
+/// weight. Weights that grew with every segment would have infinite variance. A long path ends all the same: its probability to
+/// have `n` rays is `LONG / n`, so that weights grow no faster than paths, and the square of that over `VERY_LONG`, so that the
+/// mean length is bounded in endless fog that absorbs nothing.
 ///
-/// If a field knows the light that arrives at a vertex, this determines the probability (\[vorba2016\]): a path that a guide has
-/// sent toward much light has a small weight for that reason and is worth continuing, and a path of great weight in the dark is
-/// not. The field may be wrong, so the survival probability is at least [`LEAST_KEPT`] times that by the weight.
+/// If a field knows the light that arrives at a vertex, this determines the probability (\[vorba2016\]). A path that a guide has
+/// sent toward much light has a small weight for that reason and is worth continuing. A path of great weight in the dark is not.
+/// The field may be wrong, so the survival probability is at least [`LEAST_KEPT`] times that by the weight.
 /// - `scale`: factor of the weight here, which removes the changes by guides and refraction;
 /// - `kept`: light that the field expects of the path from here on, relative to that from the first vertex on.
 #[inline]

@@ -17,7 +17,7 @@ pub struct PathKey {
     pub sample: u32,
 }
 
-/// Salt that separates the hash that chooses records from the sampler's hashes of the same words.
+/// Salt of the hash that chooses records. It separates this hash from the sampler's hashes of the same words.
 const SALT: u64 = 0x7061_7468_2073_6574;
 
 impl PathKey {

@@ -172,7 +172,7 @@ pub struct Account {
     pub pixels: Vec<((u32, u32), f64)>,
     /// Number of traced samples.
     pub samples: u64,
-    /// Number of pixels whose replayed mean differs from that in the file. The file does not say which samples count.
+    /// Number of pixels whose replayed mean differs from that in the file, because the file does not say which samples count.
     pub unlike: u64,
 }
 

@@ -20,7 +20,7 @@ pub struct RenderedFrame {
     pub rays: u64,
 }
 
-/// State at the end of a round, for the decision what follows.
+/// State at the end of a round, from which the next step is decided.
 #[derive(Debug)]
 pub struct RoundEnd<'a> {
     /// Errors of all tiles, in order.

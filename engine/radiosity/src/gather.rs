@@ -63,9 +63,9 @@ pub const FROM_ELEMENTS: usize = 1;
 /// Treatment of irradiance that exceeds the possible maximum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bound {
-    /// Keep it.
+    /// No bound: the irradiance stays.
     None,
-    /// Remove it from now on, so that light cannot grow from reflection to reflection.
+    /// The excess is removed from now on, so that light cannot grow from reflection to reflection.
     RowSums,
 }
 

@@ -365,7 +365,7 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -
     }
     let weights = [by_links, odd * SCALE];
     let of = |moment: [f32; 2]| {
-        // Each relative to its value without a guide: a few noisy rays look like light from one place.
+        // Each relative to its value without a guide, because a few noisy rays look like light from one place.
         let ratio = |which: usize| moment[which] / moments[0][which].max(f32::MIN_POSITIVE) * weights[which];
         (ratio(0) + ratio(1)) / (weights[0] + weights[1]).max(f32::MIN_POSITIVE)
     };

@@ -26,15 +26,15 @@ pub struct Link {
 /// Decision on a link.
 #[derive(Clone, Copy, Debug)]
 pub enum Verdict {
-    /// Drop the link: no light can travel this way.
+    /// No link: no light can travel this way.
     Drop,
-    /// Keep the link: it is exact enough, or its elements cannot be split further (`refused`).
+    /// A final link: it is exact enough, or its elements cannot be split further (`refused`).
     Keep { link: Link, refused: bool },
-    /// Replace it with links to the receiver's parts.
+    /// Links to the receiver's parts instead.
     Receiver,
-    /// Replace it with links from the source's parts.
+    /// Links from the source's parts instead.
     Source,
-    /// Replace an element's link with itself by links among its parts.
+    /// Links among the element's parts, instead of a link of the element with itself.
     Both,
 }
 

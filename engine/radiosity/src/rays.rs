@@ -461,8 +461,8 @@ fn part_at(element: &Element, local: Vec2) -> usize {
     }
 }
 
-/// Returns the origin of a ray of a leaf, with the parts in turn, its direction, by the cosine distribution, and two numbers in [0,
-/// 1) for it.
+/// Returns the origin of a ray of a leaf, its direction, by the cosine distribution, and two further numbers in [0, 1). Successive
+/// rays begin on the parts of the leaf in turn.
 /// - `each`: number of rays of a part;
 /// - `round`: number of the round; each has different rays.
 fn origin(

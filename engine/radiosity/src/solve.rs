@@ -100,7 +100,7 @@ const CHECKS: usize = 2;
 const FLOOR: f32 = 0.03;
 /// Minimum limit for the bytes of links, even if elements and links have a smaller limit.
 const LEAST_MEMORY: usize = 1 << 20;
-/// Shares of all surfaces' area, and of the fog's volume, below which elements are not split, divided by the error.
+/// Minimum area, and minimum volume of fog, of an element that may be split: shares of the total, divided by the error.
 const LEAST_AREA: f32 = 1e-4;
 const LEAST_VOLUME: f32 = 1e-5;
 /// Share of all surfaces' area, or of the fog's volume, of an element that may have exactly the requested error.

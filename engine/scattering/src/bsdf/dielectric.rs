@@ -2,8 +2,8 @@
 //!
 //! Reflection is F, transmission `(1 - F) ts`. Radiance refracted from index `n_i` to `n_o` scales by `(n_o / n_i)^2`. That factor
 //! is in the weights, and `eta` = `n_i / n_o` of a sample lets Russian roulette remove it. Shadowing is
-//! `1 / (1 + Lambda_o + Lambda_i)` for both lobes. A diffuse part, if there is one, shares the light as in [`super::coat`], with R
-//! = F of each direction's own side: `f_r = rd T(o) T(i) / (pi (1 - F_mean))`,
+//! `1 / (1 + Lambda_o + Lambda_i)` for both lobes. A diffuse part, if there is one, shares the light as in [`super::coat`], where R
+//! is the F of each direction's own side: `f_r = rd T(o) T(i) / (pi (1 - F_mean))`,
 //! `f_t = td T(o) T(i) n_o^2 / (pi (1 - F_mean outside))` with T = 1 - F.
 
 use super::{BsdfSample, LobeKind, Transmitted, onto_side};

@@ -1,19 +1,19 @@
-//! Names the build of the engine: what decides a pixel's bits is its sources, what they depend on, the compiler, and what it was
-//! asked for. Two builds have one name if they are the same in all this, or if a test has shown that they are equal.
+//! Computes the name of the engine build. The bits of a pixel depend on the engine's sources, their dependencies, the compiler, and
+//! its flags. Two builds have the same name if all of these are equal, or if a test has shown that they compute the same bits.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs, io};
 
-/// Instruction sets of x86-64 and x86-64-v3: `tests/builds` shows that they have the same bits. With any other, the set is part of
-/// the name.
+/// Instruction sets of x86-64 and x86-64-v3. `tests/builds` shows that they give the same bits. Any other set becomes part of the
+/// name.
 const EQUAL: [&str; 2] = [
     "fxsr,sse,sse2",
     "avx,avx2,bmi1,bmi2,cmpxchg16b,f16c,fma,fxsr,lzcnt,movbe,popcnt,sse,sse2,sse3,sse4.1,sse4.2,ssse3,xsave",
 ];
 
-/// Flags of the compiler that change no value: those of lints, linking and debugging, and those that choose the instruction set,
-/// which has its own place in the name.
+/// Compiler flags that change no value: flags of lints, linking and debugging, and flags that choose the instruction set, which has
+/// its own part of the name.
 const HARMLESS: [&str; 21] = [
     "-A",
     "-D",
@@ -40,7 +40,7 @@ const HARMLESS: [&str; 21] = [
 
 fn main() -> io::Result<()> {
     let engine = Path::new("..");
-    // The manifest has the features of what the engine depends on.
+    // The manifest lists the features of the engine's dependencies.
     let mut files = ["build.rs", "../../Cargo.lock", "../../Cargo.toml"].map(PathBuf::from).to_vec();
     for part in fs::read_dir(engine)? {
         let part = part?.path();
@@ -74,7 +74,7 @@ fn variable(name: &str) -> String {
     env::var(name).unwrap_or_default()
 }
 
-/// The flags that may change a value, each with its argument.
+/// Returns the flags that may change a value, each with its argument.
 fn telling(flags: &str) -> Vec<String> {
     let (mut words, mut telling) = (flags.split('\x1f'), Vec::new());
     while let Some(word) = words.next() {
@@ -111,7 +111,7 @@ fn sources(folder: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
     Ok(())
 }
 
-/// FNV-1a: it tells builds apart, and nobody gains by forging one.
+/// FNV-1a hash. It distinguishes builds and need not resist forgery.
 struct Hash(u64);
 
 impl Hash {

@@ -1,5 +1,5 @@
-//! Nanoseconds that questions to a tree of fog take: `cargo run --release -p femc-field --example fog`. The tree is regular, of 4,096
-//! boxes or so many as are asked for (a power of 2); lines go through 15 boxes each on average, at random.
+//! Measures the time of queries to a tree of fog, in nanoseconds: `cargo run --release -p femc-field --example fog`. The tree is
+//! regular, of 4,096 boxes or of the given number (a power of 2). Random lines go through 15 boxes each on average.
 
 use femc_field::{FogCell, FogLeaf, FogTree, Line};
 use femc_math::Rgb;
@@ -8,7 +8,7 @@ use femc_math::glam::Vec3A;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// Lines, and times that each round of questions is asked: the least counts.
+/// Number of lines, and number of repetitions of each round of queries. The least time counts.
 const LINES: usize = 4096;
 const ROUNDS: u32 = 30;
 
@@ -16,7 +16,7 @@ fn tree(depth: u32, color: Rgb) -> FogTree {
     let mut cells = Vec::new();
     let mut boxes = vec![[Vec3A::ZERO, Vec3A::ONE]];
     while let Some([min, max]) = boxes.get(cells.len()).copied() {
-        // The k-th box of a full tree has as many above it as the logarithm says.
+        // The level of the k-th box of a full tree follows from the logarithm.
         let level = (cells.len() + 1).ilog2();
         if level < depth {
             let axis = (level % 3) as usize;
@@ -34,13 +34,13 @@ fn tree(depth: u32, color: Rgb) -> FogTree {
     FogTree::new([Vec3A::ZERO, Vec3A::ONE], &cells).unwrap_or_default()
 }
 
-/// Points of a lattice that fills the cube evenly (\[roberts2018\]).
+/// Returns points of a lattice that fills the cube evenly (\[roberts2018\]).
 fn point(k: usize, seed: f64) -> Vec3A {
     let step = |a: f64| (seed + a * k as f64).fract() as f32;
     Vec3A::new(step(0.819_172_513_396_164_4), step(0.671_043_606_703_789_3), step(0.549_700_477_901_970_2))
 }
 
-/// Least time of a question, ns.
+/// Returns the least time of a query, ns.
 fn time(mut ask: impl FnMut(usize)) -> f64 {
     let round = |_| {
         let start = Instant::now();
@@ -56,7 +56,7 @@ fn main() {
     for (name, color) in [("gray", Rgb::splat(0.7)), ("in color", Rgb::new(0.7, 0.6, 0.5))] {
         let tree = tree(boxes.max(2).ilog2(), color);
         let points: Vec<Vec3A> = (0..LINES).map(|k| point(k, 0.5)).collect();
-        // Lines of this length meet 15 boxes of 16 by axis on average.
+        // Lines of this length hit 15 boxes on average, with 16 boxes by axis.
         let edge = cbrt(tree.leaves().count() as f32);
         let length = 14.0 / (1.5 * edge);
         let of = |k: usize| {

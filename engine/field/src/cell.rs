@@ -1,49 +1,49 @@
 use crate::NONE;
 use femc_math::glam::Vec2;
 
-/// How a cell is cut in two.
+/// Split of a cell in two.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Split {
-    /// A leaf.
+    /// No split: a leaf.
     None,
-    /// A rectangle, at the middle of its first (0) or second (1) parameter.
+    /// Split of a rectangle at the middle of its first (0) or second (1) parameter.
     Half(u8),
-    /// A triangle, from its first corner to the middle of the edge across.
+    /// Split of a triangle from its first corner to the middle of the opposite edge.
     Bisection,
 }
 
 /// A corner and two edges over a surface's parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
-    /// The corner.
+    /// Corner.
     pub corner: Vec2,
-    /// The edges from it.
+    /// Edges from the corner.
     pub edges: [Vec2; 2],
 }
 
 impl Outline {
-    /// All of a surface.
+    /// Outline of a whole surface.
     pub const WHOLE: Self = Self { corner: Vec2::ZERO, edges: [Vec2::X, Vec2::Y] };
 
-    /// The point with these coordinates along the edges.
+    /// Returns the point with these coordinates along the edges.
     pub fn at(&self, local: Vec2) -> Vec2 {
         self.corner + self.edges[0] * local.x + self.edges[1] * local.y
     }
 
-    /// Coordinates along the edges of a point.
+    /// Returns the coordinates of a point along the edges.
     pub fn local(&self, place: Vec2) -> Vec2 {
         let ([a, b], p) = (self.edges, place - self.corner);
         Vec2::new(p.perp_dot(b), a.perp_dot(p)) / a.perp_dot(b)
     }
 
-    /// An outline that is given in this one's coordinates.
+    /// Converts an outline from this one's coordinates.
     pub fn of(&self, inner: &Self) -> Self {
         let edge = |edge: Vec2| self.edges[0] * edge.x + self.edges[1] * edge.y;
         Self { corner: self.at(inner.corner), edges: inner.edges.map(edge) }
     }
 
-    /// The two halves, in coordinates of the whole. Of triangles each is turned so that the edge across its corner is that which is
-    /// longest by `length` of (from, to) in these coordinates.
+    /// Returns the two halves, in coordinates of the whole. The halves of a triangle are oriented so that the edge opposite to the
+    /// corner is the longest by `length` of (from, to) in these coordinates.
     pub fn halves(split: Split, length: impl Fn(Vec2, Vec2) -> f32) -> [Self; 2] {
         let half = 0.5;
         match split {
@@ -61,7 +61,7 @@ impl Outline {
         }
     }
 
-    /// A triangle whose corner lies across its longest edge.
+    /// Creates a triangle whose corner is opposite to its longest edge.
     pub fn across_longest(corners: [Vec2; 3], length: &impl Fn(Vec2, Vec2) -> f32) -> Self {
         let edge = |k: usize| length(corners[(k + 1) % 3], corners[(k + 2) % 3]);
         let first = (1..3).fold(0, |best, k| if edge(k) > edge(best) { k } else { best });
@@ -73,16 +73,16 @@ impl Outline {
 /// A part of a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Cell {
-    /// Its place in the cell that holds it, in that one's coordinates; of a root in the surface's parameters.
+    /// Outline in the coordinates of the parent cell; for a root, in the surface's parameters.
     pub outline: Outline,
-    /// How it is cut.
+    /// Split of the cell.
     pub split: Split,
-    /// Index of the first of its two halves, which follow each other; of a leaf index of what is known of it.
+    /// Index of the first of its two halves, which are adjacent; for a leaf, index of its data.
     pub next: u32,
 }
 
 impl Cell {
-    /// The leaf that holds a point, and the point's coordinates in it; `None` of a surface without cells.
+    /// Returns the leaf that contains a point, and the point's coordinates in it. `None` for a surface without cells.
     pub fn find(cells: &[Self], root: u32, place: Vec2) -> Option<(u32, Vec2)> {
         if root == NONE {
             return None;
@@ -96,7 +96,7 @@ impl Cell {
         }
     }
 
-    /// Index of the half that holds a point, by its coordinates in the cell; `None` of a leaf.
+    /// Returns the index of the half that contains a point, from its coordinates in the cell. `None` for a leaf.
     #[inline]
     pub fn half(&self, local: Vec2) -> Option<u32> {
         let second = match self.split {

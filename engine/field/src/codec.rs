@@ -1,5 +1,5 @@
-//! A field as bytes: what the first pass has found, to be kept and sent. The same field gives the same bytes, and the bytes give the
-//! same field to the bit. All numbers are little-endian.
+//! A field as bytes: the result of the first pass, for storage and transfer. Equal fields give equal bytes, and decoding restores
+//! the field to the bit. All numbers are little-endian.
 //!
 //! | bytes | what |
 //! | --- | --- |
@@ -8,12 +8,12 @@
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 8 x 8 | [`Statistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
-//! | 9 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes that hold all fog (1 or 0), boxes of fog, guides, lobes |
+//! | 9 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes that contain all fog (1 or 0), boxes of fog, guides, lobes |
 //! | 8 | bytes of the tables below |
 //! | rest | zstd frame of the tables |
 //!
-//! A table is a number of records of equal length, made of words of 4 bytes, and stored in byte planes (the lowest byte of the first
-//! word of all records, then the next):
+//! A table is a number of records of equal length, made of words of 4 bytes, and stored in byte planes (the lowest byte of the
+//! first word of all records, then the next):
 //!
 //! | table | words of a record |
 //! | --- | --- |
@@ -21,20 +21,20 @@
 //! | primitives | surface of the front, of the back |
 //! | surfaces | instance, first and last primitive, material, form and side, first cell |
 //! | flat surfaces, in order | corner and edges: 9 |
-//! | curved surfaces, in order | the shape: 8, those that it does not need are 0; the pose: 12 |
+//! | curved surfaces, in order | the shape: 8, unused ones are 0; the pose: 12 |
 //! | cells | split, next, corner and edges over the parameters: 6 |
 //! | leaves | 0: triangle, 1: rectangle, 2: curved |
 //! | triangles, rectangles, curved leaves, in order | 9, 12, 27 |
-//! | the box that holds all fog | lower corner, upper corner: 6 |
-//! | boxes of fog, halves in the order of what is cut | 0, 1, 2: cut across this axis, 3: leaf |
-//! | cuts, in order | coordinate |
+//! | the box that contains all fog | lower corner, upper corner: 6 |
+//! | boxes of fog, halves in the order of the split boxes | 0, 1, 2: split across this axis, 3: leaf |
+//! | splits, in order | coordinate |
 //! | leaves of fog, in order | mean and its changes, scattering and extinction coefficient: 18 |
 //! | guides | first lobe, number of lobes, share |
 //! | lobes | target, half axes, share: 10 |
 //!
-//! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
-//! come out of it. Whatever is accepted can be asked for light anywhere: indices are in their ranges, trees have no circles, and light and
-//! coefficients of fog are finite and not negative.
+//! The checksum is verified first. Decompression never yields more than the header says, and no memory is allocated for data that
+//! has not been decompressed. An accepted field can be evaluated anywhere: indices are in their ranges, trees have no cycles, and
+//! light and coefficients of fog are finite and not negative.
 
 use crate::{
     Cell, Field, FogCell, FogLeaf, FogTree, Form, Guide, Guides, Harmonics, LOBES, Leaf, Lobe, NONE, Outline, Side,
@@ -49,49 +49,49 @@ const MAGIC: &[u8; 8] = b"FEMCFELD";
 const VERSION: u32 = 3;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
-/// Most bytes of all tables: 4 GiB.
+/// Maximum number of bytes of all tables: 4 GiB.
 const MOST: u64 = 1 << 32;
-/// What is read back needs no larger window than this; it bounds what the decompressor takes.
+/// Maximum window of data that is read back. It bounds the memory of the decompressor.
 const WINDOW_LOG: u32 = 23;
 const LEVEL: i32 = 3;
-/// No guide has all directions drawn by its lobes.
+/// Maximum share of a guide's lobes in all directions.
 const MOST_GUIDED: f32 = 0.99;
 
-/// What a first pass was made of.
+/// Statistics of a first pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Statistics {
-    /// Parts of surfaces and of fog.
+    /// Number of parts of surfaces and of fog.
     pub elements: u64,
-    /// Those that are not cut further.
+    /// Number of elements that are not split.
     pub leaves: u64,
-    /// Links among elements.
+    /// Number of links among elements.
     pub links: u64,
-    /// Links with light sources.
+    /// Number of links with light sources.
     pub lamp_links: u64,
-    /// Links that are not as exact as asked for.
+    /// Number of links that are less exact than requested.
     pub refused: u64,
-    /// Visibility rays.
+    /// Number of visibility rays.
     pub rays: u64,
-    /// Times that light was passed on through all links.
+    /// Number of iterations, each of which passes light through all links.
     pub iterations: u64,
-    /// Bytes of elements and links while it was solved.
+    /// Number of bytes of elements, links and rays during the solution.
     pub bytes: u64,
-    /// What further iterations would change of a radiosity, as a share of the greatest one.
+    /// Estimated change of the light that leaves all elements by further iterations, as a share of that light.
     pub residual: f32,
 }
 
-/// Why bytes are no field.
+/// Reason why bytes cannot be decoded as a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FieldError {
-    /// They are of another version of the format.
+    /// The bytes have another version of the format.
     #[error("a field of format {found}, not {expected}")]
     Version {
-        /// Version of these bytes.
+        /// Version of the bytes.
         found: u32,
-        /// Version that is read here.
+        /// Version that this build reads.
         expected: u32,
     },
-    /// They are damaged, or something else.
+    /// The bytes are damaged or not a field.
     #[error("no field: {0}")]
     Corrupt(&'static str),
 }
@@ -99,7 +99,7 @@ pub enum FieldError {
 const CUT: FieldError = FieldError::Corrupt("cut short");
 
 impl Field {
-    /// The field as bytes, with what it was made of.
+    /// Encodes the field as bytes, with its statistics.
     pub fn encode(&self, statistics: &Statistics) -> Vec<u8> {
         let mut out = MAGIC.to_vec();
         out.extend(VERSION.to_le_bytes());
@@ -124,7 +124,7 @@ impl Field {
         lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
         let tables = self.tables();
         out.extend((tables.len() as u64).to_le_bytes());
-        // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
+        // Compression from memory to a growing buffer cannot fail. If it fails nevertheless, the result does not decode.
         out.extend(zstd::bulk::compress(&tables, LEVEL).unwrap_or_default());
         let sum = blake3::hash(&out[PREFIX..]);
         out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
@@ -208,7 +208,7 @@ impl Field {
         table(out, fog.leaves().map(leaf));
     }
 
-    /// The field and what it was made of, from their bytes; damage of any kind is an error.
+    /// Decodes a field and its statistics. Damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<(Self, Statistics), FieldError> {
         let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(CUT)?;
         if prefix[..MAGIC.len()] != MAGIC[..] {
@@ -243,7 +243,7 @@ impl Field {
         Ok((read(Tables(&tables), lengths)?, statistics))
     }
 
-    /// Whether it is a field of these surfaces.
+    /// Checks whether the field belongs to these surfaces.
     /// - `primitives`: number of primitives of each instance of a world.
     pub fn fits(&self, primitives: impl ExactSizeIterator<Item = usize>) -> bool {
         self.sides.len() == primitives.len() && self.sides.iter().zip(primitives).all(|(sides, of)| sides.len() == of)
@@ -359,7 +359,7 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
     Ok(Field { surfaces, roots, leaves, guides, cells: all, sides, fog })
 }
 
-/// A share of directions, in [0, 1): the rest is for what no lobe knows.
+/// Decodes a share of directions, in [0, 1). The rest is for directions that no lobe covers.
 fn share_of(bits: u32) -> f32 {
     let share = f32::from_bits(bits);
     if (0.0..MOST_GUIDED).contains(&share) { share } else { 0.0 }
@@ -405,12 +405,12 @@ fn read_fog(tables: &mut Tables<'_>, roots: u32, boxes: u32) -> Result<FogTree, 
     FogTree::new(vectors(root), &cells).ok_or(NONE)
 }
 
-/// Whether the halves of a node lie behind it, so that no way down comes back.
+/// Checks that the halves of a node come after it, so that no path down the tree has a cycle.
 fn is_below(index: usize, next: u32, nodes: u32) -> bool {
     next as usize > index && next < nodes && next + 1 < nodes
 }
 
-/// Words of a front that is read one by one.
+/// Reader of the header, word by word.
 struct Front<'a>(&'a [u8]);
 
 impl Front<'_> {
@@ -427,7 +427,7 @@ impl Front<'_> {
     }
 }
 
-/// Tables that are not read yet.
+/// Tables that are not read yet, as bytes.
 struct Tables<'a>(&'a [u8]);
 
 impl Tables<'_> {
@@ -453,20 +453,20 @@ fn table<const N: usize>(out: &mut Vec<u8>, records: impl Iterator<Item = [u32; 
     }
 }
 
-/// `W` is 3 `N`.
+/// Converts colors to words; `W` is 3 `N`.
 fn colors<const N: usize, const W: usize>(values: &[Rgb; N]) -> [u32; W] {
     std::array::from_fn(|at| values[at / 3][at % 3].to_bits())
 }
 
-/// `W` is 3 `N`.
+/// Converts words to vectors; `W` is 3 `N`.
 fn vectors<const N: usize, const W: usize>(words: &[u32; W]) -> [Vec3A; N] {
     std::array::from_fn(|at| Vec3A::from_array(std::array::from_fn(|axis| f32::from_bits(words[3 * at + axis]))))
 }
 
-/// The least number of a form that is curved.
+/// Least tag of a curved form.
 const CURVED: u32 = 2;
 
-/// The number of a form; of a shape two, by the way it faces.
+/// Returns the tag of a form. A shape has two tags, one for each facing.
 fn tag(form: &Form) -> u32 {
     let (shape, facing) = match form {
         Form::Triangle(_) => return 0,
@@ -479,7 +479,7 @@ fn tag(form: &Form) -> u32 {
     CURVED + 2 * shape + u32::from(facing == Facing::Inward)
 }
 
-/// A shape's own numbers.
+/// Returns the parameters of a shape.
 fn numbers(shape: &Quadric) -> [f32; 8] {
     match *shape {
         Quadric::Sphere { center: c, radius, .. } => [c.x, c.y, c.z, radius, 0.0, 0.0, 0.0, 0.0],
@@ -508,7 +508,7 @@ fn shape(tag: u32, values: &[f32; 8]) -> Option<Quadric> {
 mod tests {
     use super::*;
 
-    /// A field with one of everything.
+    /// Creates a field with one of everything.
     fn one_of_everything() -> Field {
         let v = |k: f32| Vec3A::new(k, -k, 0.5 * k);
         let pose = Affine3A { matrix3: Mat3A::from_diagonal(v(2.0).into()), translation: v(7.0) };
@@ -616,7 +616,7 @@ mod tests {
         assert!(refused(|field| field.sides[0][0][0] = 6), "no such surface");
         assert!(refused(|field| field.surfaces[0].primitives[1] = 2), "no such primitive");
         assert!(refused(|field| field.surfaces[0].instance = 3), "no such instance");
-        // The field reads them as they are; bytes of others may hold anything.
+        // The field stores them unchanged; foreign bytes may hold anything.
         fn guides(field: &mut Field, change: fn(&mut Vec<Guide>, &mut Vec<Lobe>)) {
             let (mut of, mut lobes) = (field.guides.of().to_vec(), field.guides.lobes().to_vec());
             change(&mut of, &mut lobes);

@@ -4,25 +4,26 @@ use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
 
-/// What is known of a leaf: irradiance, lx by channel, without what comes straight from light sources.
+/// Data of a leaf: irradiance, lx by channel, without direct light from light sources.
 #[derive(Clone, Copy, Debug)]
 pub enum Leaf {
-    /// Of a triangle: at the three points that have two thirds of a corner each and a sixth of the others.
+    /// Values of a triangle, at the three points with barycentric weights of two thirds for one corner and a sixth for each of the
+    /// others.
     Triangle([Rgb; 3]),
-    /// Of a rectangle: at the four points of Gauss' rule, the first parameter fastest.
+    /// Values of a rectangle, at the four points of Gauss' rule, the first parameter fastest.
     Rectangle([Rgb; 4]),
-    /// By direction of the normal.
+    /// Values by direction of the normal.
     Curved(Harmonics),
 }
 
-/// Distance of the points of Gauss' rule from the middle of [0, 1].
+/// Distance of the points of Gauss' rule from the center of [0, 1].
 const GAUSS: f32 = 0.288_675_13;
 
 impl Leaf {
-    /// Where a triangle's values are, in the leaf's coordinates.
+    /// Points of a triangle's values, in the leaf's coordinates.
     pub const TRIANGLE: [Vec2; 3] =
         [Vec2::new(1.0 / 6.0, 1.0 / 6.0), Vec2::new(2.0 / 3.0, 1.0 / 6.0), Vec2::new(1.0 / 6.0, 2.0 / 3.0)];
-    /// Where a rectangle's values are.
+    /// Points of a rectangle's values, in the leaf's coordinates.
     pub const RECTANGLE: [Vec2; 4] = [
         Vec2::new(0.5 - GAUSS, 0.5 - GAUSS),
         Vec2::new(0.5 + GAUSS, 0.5 - GAUSS),
@@ -30,21 +31,21 @@ impl Leaf {
         Vec2::new(0.5 + GAUSS, 0.5 + GAUSS),
     ];
 
-    /// The linear function with these values at a triangle's points.
+    /// Evaluates the linear function with these values at a triangle's points.
     pub fn over_triangle(values: &[Rgb; 3], local: Vec2) -> Rgb {
         let [a, b, c] = [1.0 - local.x - local.y, local.x, local.y].map(|weight| 2.0 * weight - 1.0 / 3.0);
         values[0] * a + values[1] * b + values[2] * c
     }
 
-    /// The bilinear function with these values at a rectangle's points.
+    /// Evaluates the bilinear function with these values at a rectangle's points.
     pub fn over_rectangle(values: &[Rgb; 4], local: Vec2) -> Rgb {
         let [x, y] = [local.x, local.y].map(|at| (at - (0.5 - GAUSS)) / (2.0 * GAUSS));
         (values[0] * (1.0 - x) + values[1] * x) * (1.0 - y) + (values[2] * (1.0 - x) + values[3] * x) * y
     }
 
-    /// Irradiance at a point of the leaf.
+    /// Returns the irradiance at a point of the leaf.
     /// - `local`: the point's coordinates in the leaf;
-    /// - `normal`: unit, of the surface's side there.
+    /// - `normal`: unit normal of the surface's side there.
     pub fn at(&self, local: Vec2, normal: Vec3A) -> Rgb {
         match self {
             Self::Triangle(values) => Self::over_triangle(values, local).max(Rgb::ZERO),
@@ -53,7 +54,7 @@ impl Leaf {
         }
     }
 
-    /// The same with all light times a factor.
+    /// Returns the leaf with all light multiplied by a factor.
     fn times(&self, factor: f32) -> Self {
         match self {
             Self::Triangle(values) => Self::Triangle(values.map(|value| value * factor)),
@@ -62,7 +63,7 @@ impl Leaf {
         }
     }
 
-    /// Luminance of the mean irradiance over the leaf, lx; 0 at least.
+    /// Returns the luminance of the mean irradiance over the leaf, lx; at least 0.
     pub fn mean(&self) -> f32 {
         let mean = |values: &[Rgb]| values.iter().copied().sum::<Rgb>() * (1.0 / values.len() as f32);
         let mean = match self {
@@ -77,27 +78,27 @@ impl Leaf {
     }
 }
 
-/// The light of a scene as the first pass has found it.
+/// Light of a scene as found by the first pass.
 #[derive(Clone, Debug, Default)]
 pub struct Field {
     /// All surfaces.
     pub surfaces: Vec<Surface>,
-    /// By surface: its first cell, or [`NONE`].
+    /// First cell by surface, or [`NONE`].
     pub roots: Vec<u32>,
     /// Parts of surfaces.
     pub cells: Vec<Cell>,
-    /// What is known of them.
+    /// Data of the leaves.
     pub leaves: Vec<Leaf>,
-    /// By leaf where its light comes from; of no leaf where nothing is known of that.
+    /// Guides by leaf: the directions from which light comes. Empty if they were not computed.
     pub guides: Guides,
-    /// By instance and primitive: surface of the front and of the back, or [`NONE`].
+    /// Surfaces of the front and of the back by instance and primitive, or [`NONE`].
     pub sides: Vec<Vec<[u32; 2]>>,
     /// Light in fog.
     pub fog: FogTree,
 }
 
 impl Field {
-    /// The field of the same scene with lamps that are brighter by a factor: all light times that.
+    /// Multiplies all light by a factor, as for a scene with lamps that are brighter by the factor.
     pub fn times(mut self, factor: f32) -> Self {
         self.leaves.iter_mut().for_each(|leaf| *leaf = leaf.times(factor));
         self.guides.scale(factor);
@@ -105,29 +106,29 @@ impl Field {
         self
     }
 
-    /// Irradiance at a hit, lx by channel, without what comes straight from light sources.
-    /// - `position`, `normal`: of the hit; the unit normal on the side that is asked for.
-    /// - returns 0 where the first pass knows no surface.
+    /// Returns the irradiance at a hit, lx by channel, without direct light from light sources.
+    /// - `position`, `normal`: position of the hit, and its unit normal on the requested side.
+    /// - returns 0 if the first pass has no surface there.
     pub fn irradiance(&self, hit: &Hit, side: Side, position: Vec3A, normal: Vec3A) -> Rgb {
         let found = self.leaf(hit, side, position);
         found.map_or(Rgb::ZERO, |(leaf, local)| self.leaves[leaf as usize].at(local, normal))
     }
 
-    /// What guides paths at a hit; `None` where the first pass knows no surface, or has not asked where light comes from.
-    /// - `position`: of the hit.
+    /// Returns the guide for paths at a hit. `None` if the first pass has no surface there, or no guides.
+    /// - `position`: position of the hit.
     #[inline]
     pub fn guided(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Guided<'_>> {
         let (surface, root) = self.root(hit, side)?;
         self.guides.at(&self.cells, root, || surface.parameters(position, [hit.u, hit.v]), position)
     }
 
-    /// The leaf of a hit, and the hit's coordinates in it.
+    /// Returns the leaf of a hit, and the hit's coordinates in it.
     fn leaf(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<(u32, Vec2)> {
         let (surface, root) = self.root(hit, side)?;
         Cell::find(&self.cells, root, surface.parameters(position, [hit.u, hit.v]))
     }
 
-    /// The surface of a hit, and its first cell.
+    /// Returns the surface of a hit, and its first cell.
     #[inline]
     fn root(&self, hit: &Hit, side: Side) -> Option<(&Surface, u32)> {
         let sides = self.sides[hit.instance as usize][hit.primitive as usize];
@@ -136,7 +137,7 @@ impl Field {
         (root != NONE).then(|| (&self.surfaces[surface], root))
     }
 
-    /// Bytes that it takes.
+    /// Returns the number of bytes of the field.
     pub fn memory(&self) -> usize {
         size_of_val(&*self.surfaces)
             + size_of_val(&*self.cells)

@@ -1,4 +1,4 @@
-//! Where a leaf's light comes from: a mixture of lobes, for drawing directions.
+//! Guides: the directions from which a leaf's light comes, as a mixture of lobes for sampling.
 
 use crate::{Cell, Leaf, Split};
 use femc_math::elementary::sin_cos;
@@ -7,28 +7,28 @@ use femc_math::{Frame, cross};
 use std::collections::HashMap;
 use std::f32::consts::PI;
 
-/// Most lobes of a leaf.
+/// Maximum number of lobes of a leaf.
 pub const LOBES: usize = 8;
-/// As many lobes take half the time.
+/// Number of lobes up to which evaluation takes half the time.
 pub const HALF: usize = LOBES / 2;
 
-/// Light through a place in space: through a gap, or from a source. It is a density over the plane through the place across the view, which
-/// falls as `(1 + q)^-3`, with q = 1 on an ellipse: a Student distribution, whose long tails find what is somewhat beside. From each point of
-/// the leaf the place lies in another direction.
+/// Light through a place in space: through a gap, or from a source. It is a density over the plane through the place across the
+/// view, which falls as `(1 + q)^-3`, with q = 1 on an ellipse. This is a Student distribution, whose long tails also cover light
+/// slightly beside the place. From each point of the leaf the place lies in another direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lobe {
-    /// The place, prepared frame, m.
+    /// Center of the lobe, prepared frame, m.
     pub target: Vec3A,
-    /// Half axes of the ellipse, perpendicular to each other, m: as long as root two of the standard deviation.
+    /// Half axes of the ellipse, perpendicular to each other, m. Their lengths are root two times the standard deviations.
     pub axes: [Vec3A; 2],
-    /// Share of the leaf's irradiance that comes from there.
+    /// Share of the leaf's irradiance that the lobe contains.
     pub share: f32,
 }
 
 impl Lobe {
-    /// As wide in all directions.
+    /// Creates a circular lobe.
     /// - `along`: the view, unit;
-    /// - `spread`: mean square distance from the place, m2.
+    /// - `spread`: mean squared distance from the place, m2.
     pub fn round(target: Vec3A, along: Vec3A, spread: f32, share: f32) -> Self {
         let frame = Frame::from_normal(along);
         let radius = spread.max(f32::MIN_POSITIVE).sqrt();
@@ -36,36 +36,36 @@ impl Lobe {
     }
 }
 
-/// What is known of where the light of a leaf comes from.
+/// Guide of a leaf: the directions from which its light comes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Guide {
-    /// Index of its first lobe, and their number: [`LOBES`] at most.
+    /// Index of its first lobe.
     pub first: u32,
-    /// Their number.
+    /// Number of its lobes, at most [`LOBES`].
     pub count: u32,
-    /// Share of directions to be drawn by the lobes, in [0, 1); 0: none.
+    /// Share of directions to sample from the lobes, in [0, 1); 0: no guide.
     pub share: f32,
 }
 
-/// The guides of all leaves.
+/// Guides of all leaves.
 #[derive(Clone, Debug, Default)]
 pub struct Guides {
     of: Vec<Guide>,
     lobes: Vec<Lobe>,
-    /// By cell what all leaves in it have: a block, [`UNGUIDED`], or [`MIXED`].
+    /// Common guide of all leaves in a cell: a block, [`UNGUIDED`], or [`MIXED`].
     cells: Vec<u32>,
-    /// Lobes, and the share of directions that are drawn by them.
+    /// Lobes, and the share of directions to sample from them.
     blocks: Vec<(Block, f32)>,
-    /// By cell the luminance of its mean irradiance, lx.
+    /// Luminance of the mean irradiance by cell, lx.
     light: Vec<f32>,
 }
 
-/// What guides paths at a point.
+/// Guide for paths at a point.
 #[derive(Clone, Copy, Debug)]
 pub struct Guided<'a> {
-    /// Where light comes from, as far as directions are worth drawing by that.
+    /// Directions from which light comes, if sampling them is worthwhile.
     pub directions: Option<Directions<'a>>,
-    /// Luminance of the irradiance about there, lx, without what comes straight from light sources.
+    /// Luminance of the irradiance near the point, lx, without direct light from light sources.
     pub light: f32,
 }
 
@@ -73,7 +73,8 @@ const UNGUIDED: u32 = u32::MAX;
 const MIXED: u32 = u32::MAX - 1;
 
 impl Guides {
-    /// - `of`: by leaf, or of none; ranges are within `lobes`;
+    /// Creates the guides.
+    /// - `of`: guides by leaf, or empty; ranges are within `lobes`;
     /// - `cells`: parts of surfaces down to these `leaves`.
     pub fn new(of: Vec<Guide>, lobes: Vec<Lobe>, cells: &[Cell], leaves: &[Leaf]) -> Self {
         let (mut blocks, mut known) = (Vec::new(), HashMap::new());
@@ -90,7 +91,7 @@ impl Guides {
         if !of.is_empty() {
             by_cell = vec![UNGUIDED; cells.len()];
             light = vec![0.0; cells.len()];
-            // Halves come after what they are halves of.
+            // Halves come after the cell that contains them.
             for (index, cell) in cells.iter().enumerate().rev() {
                 let next = cell.next as usize;
                 by_cell[index] = match cell.split {
@@ -107,28 +108,28 @@ impl Guides {
         Self { of, lobes, cells: by_cell, blocks, light }
     }
 
-    /// The same of ranges that may lead astray, for nothing but to be written.
+    /// Creates guides with possibly invalid ranges, only to encode them.
     #[cfg(test)]
     pub(crate) fn unchecked(of: Vec<Guide>, lobes: Vec<Lobe>) -> Self {
         Self { of, lobes, ..Self::default() }
     }
 
-    /// Light times a factor; where it comes from stays.
+    /// Multiplies the light by a factor. The directions do not change.
     pub(crate) fn scale(&mut self, factor: f32) {
         self.light.iter_mut().for_each(|light| *light *= factor);
     }
 
-    /// By leaf.
+    /// Returns the guides by leaf.
     pub fn of(&self) -> &[Guide] {
         &self.of
     }
 
-    /// All lobes.
+    /// Returns all lobes.
     pub fn lobes(&self) -> &[Lobe] {
         &self.lobes
     }
 
-    /// Bytes that they take.
+    /// Returns the number of bytes of the guides.
     pub fn memory(&self) -> usize {
         size_of_val(&*self.of)
             + size_of_val(&*self.lobes)
@@ -137,8 +138,8 @@ impl Guides {
             + size_of_val(&*self.light)
     }
 
-    /// What guides at a point of a cell; `None` where nothing is known of any.
-    /// - `place`: the point's parameters of the surface whose root the cell is.
+    /// Returns the guide at a point of a cell. `None` if there are no guides.
+    /// - `place`: the point's parameters on the surface whose root is the cell.
     #[inline]
     pub fn at(&self, cells: &[Cell], root: u32, place: impl FnOnce() -> Vec2, point: Vec3A) -> Option<Guided<'_>> {
         let mut index = root as usize;
@@ -157,24 +158,24 @@ impl Guides {
     }
 }
 
-/// Lobes side by side.
+/// Lobes in a structure of arrays.
 #[derive(Clone, Copy, Debug)]
 pub struct Block {
-    /// By axis and lobe: the place; the plane's unit normal; the ellipse's axes over their squared lengths.
+    /// Values by axis and lobe: the center; the plane's unit normal; the ellipse's axes over their squared lengths.
     targets: [[f32; LOBES]; 3],
     normals: [[f32; LOBES]; 3],
     across: [[[f32; LOBES]; 3]; 2],
-    /// Squares of the half axes, m2.
+    /// Squared lengths of the half axes, m2.
     squares: [[f32; LOBES]; 2],
-    /// Density in the middle of the plane, 1/m2, times the lobe's share.
+    /// Density at the center of the plane, 1/m2, times the lobe's share.
     peaks: [f32; LOBES],
     shares: [f32; LOBES],
-    /// Whether there are [`HALF`] lobes at most.
+    /// Whether there are at most [`HALF`] lobes.
     is_half: bool,
 }
 
 impl Block {
-    /// Of [`LOBES`] lobes at most.
+    /// Creates a block of at most [`LOBES`] lobes.
     pub fn new(lobes: &[Lobe]) -> Self {
         const NONE: [f32; LOBES] = [0.0; LOBES];
         let mut out = Self {
@@ -209,24 +210,24 @@ impl Block {
     }
 }
 
-/// The lobes of a leaf as seen from one of its points.
+/// Lobes of a leaf as seen from one of its points.
 #[derive(Clone, Copy, Debug)]
 pub struct Directions<'a> {
     block: &'a Block,
-    /// Way to the plane along its normal, m; the point's place in it, in half axes.
+    /// Distance to the plane along its normal, m; and the point's coordinates in it, in half axes.
     heights: [f32; LOBES],
     places: [[f32; LOBES]; 2],
-    /// 1 over the shares of the lobes that are seen from here, for these; 0 for the others.
+    /// 1 over the sum of the shares of the visible lobes, for these; 0 for the others.
     weights: [f32; LOBES],
-    /// Share of directions to be drawn by the lobes.
+    /// Share of directions to sample from the lobes.
     pub share: f32,
 }
 
-/// A lobe is not seen from points nearer to its plane than this share of their distance from its place.
+/// Minimum distance of a point from a lobe's plane, as a share of its distance from the lobe's center, for the lobe to be visible.
 const FLAT: f32 = 1e-3;
 
 impl<'a> Directions<'a> {
-    /// Of lobes, at a point; `None` where none is seen.
+    /// Creates the directions of lobes at a point; `None` if no lobe is visible.
     #[inline]
     pub fn new(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
         if block.is_half { Self::of::<HALF>(block, share, point) } else { Self::of::<LOBES>(block, share, point) }
@@ -257,27 +258,27 @@ impl<'a> Directions<'a> {
         Some(out)
     }
 
-    /// Density of [`Self::sample`] in a unit direction, 1/sr.
+    /// Returns the density of [`Self::sample`] in a unit direction, 1/sr.
     #[inline]
     pub fn pdf(&self, dir: Vec3A) -> f32 {
         let [a, b, c, d, e, f, g, h] = self.each(dir);
         ((a + e) + (b + f)) + ((c + g) + (d + h))
     }
 
-    /// The same by lobe.
+    /// Returns the density by lobe.
     #[inline]
     pub fn each(&self, dir: Vec3A) -> [f32; LOBES] {
         if self.block.is_half { self.first::<HALF>(dir) } else { self.first::<LOBES>(dir) }
     }
 
-    /// Of the first lobes.
+    /// Returns the densities of the first `N` lobes.
     #[inline(always)]
     fn first<const N: usize>(&self, dir: Vec3A) -> [f32; LOBES] {
         let mut each = [0.0f32; LOBES];
         for (k, pdf) in each.iter_mut().enumerate().take(N) {
             let dot = |of: &[[f32; LOBES]; 3]| of[0][k] * dir.x + of[1][k] * dir.y + of[2][k] * dir.z;
             let ahead = dot(&self.block.normals);
-            // Both in the direction of the plane; a point on the line at infinity has no density.
+            // Relative to the direction of the plane. A direction parallel to the plane has no density.
             let steep = if ahead.abs() > 1e-6 { ahead } else { f32::INFINITY };
             let distance = self.heights[k] / steep;
             let a = self.places[0][k] + distance * dot(&self.block.across[0]);
@@ -289,15 +290,15 @@ impl<'a> Directions<'a> {
         each
     }
 
-    /// A direction.
+    /// Samples a direction.
     /// - `choice`, `u`: numbers in [0, 1).
     #[inline]
     pub fn sample(&self, choice: f32, u: [f32; 2]) -> Vec3A {
         self.of_lobe(self.pick(choice).0, u)
     }
 
-    /// A direction by two numbers alone. The first one chooses the lobe, too; so points that are spread evenly over the square give each
-    /// lobe evenly spread directions.
+    /// Samples a direction from only two numbers. The first one also chooses the lobe, so points that are evenly spread over the
+    /// square give each lobe evenly spread directions.
     /// - `u`: in [0, 1)^2.
     #[inline]
     pub fn sample_evenly(&self, u: [f32; 2]) -> Vec3A {
@@ -305,7 +306,7 @@ impl<'a> Directions<'a> {
         self.of_lobe(at, [rest, u[1]])
     }
 
-    /// The lobe that a number in [0, 1) chooses, and where in that lobe's part it lies, in [0, 1).
+    /// Returns the lobe that a number in [0, 1) chooses, and the position of the number in that lobe's part, in [0, 1).
     #[inline]
     fn pick(&self, choice: f32) -> (usize, f32) {
         let share = |k: usize| self.block.shares[k] * self.weights[k];
@@ -314,7 +315,7 @@ impl<'a> Directions<'a> {
             left -= share(at);
             at += 1;
         }
-        // By rounding nothing may be left for the last ones.
+        // By rounding, nothing may be left for the last lobes.
         while at > 0 && share(at) <= 0.0 {
             at -= 1;
         }
@@ -356,7 +357,8 @@ mod tests {
         Block::new(&lobes)
     }
 
-    /// The shares of samples in boxes of direction are the density's (chi-square with 95 degrees of freedom: 161 at a level of 3e-5).
+    /// The shares of samples in boxes of directions match the density (chi-square with 95 degrees of freedom: 161 at a level of
+    /// 3e-5).
     #[test]
     fn samples_have_the_density() {
         let block = some();
@@ -374,7 +376,7 @@ mod tests {
                 wanted[bin(dir)] += f64::from(directions.pdf(dir)) * 4.0 * std::f64::consts::PI / (4000.0 * 960.0);
             }
         }
-        // Independent numbers: a lattice would be more even than chance.
+        // Independent numbers, since a lattice would be more even than chance.
         let mut state = 1u64;
         let mut number = || {
             state = femc_math::hash::mix64(state.wrapping_add(0x9e37_79b9_7f4a_7c15));

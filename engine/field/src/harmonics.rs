@@ -1,4 +1,5 @@
-//! Functions of direction by nine spherical harmonics: enough for what Lambertian surfaces receive and send (\[ramamoorthi2001\]).
+//! Functions of direction by nine spherical harmonics, which suffice for the light that Lambertian surfaces receive and send
+//! (\[ramamoorthi2001\]).
 
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
@@ -9,11 +10,11 @@ use std::ops::{Add, AddAssign, Mul};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Harmonics(pub [Rgb; 9]);
 
-/// Of the clamped cosine about a direction, by degree: the function is the sum over the harmonics of these times their values at
-/// the direction and at the point.
+/// Coefficients of the clamped cosine around a direction, by degree: the function is the sum over the harmonics of these
+/// coefficients times their values at the direction and at the point.
 const COSINE: [f32; 3] = [PI, 2.0 * PI / 3.0, PI / 4.0];
 
-/// Values of the nine harmonics in a unit direction.
+/// Returns the values of the nine harmonics in a unit direction.
 fn values(w: Vec3A) -> [f32; 9] {
     const ONE: [f32; 2] = [0.282_094_8, 0.488_602_5];
     const TWO: [f32; 3] = [1.092_548_4, 0.315_391_57, 0.546_274_2];
@@ -30,28 +31,28 @@ fn values(w: Vec3A) -> [f32; 9] {
     ]
 }
 
-/// Degree of the harmonic of an index.
+/// Degree of each harmonic.
 const DEGREE: [usize; 9] = [0, 1, 1, 1, 2, 2, 2, 2, 2];
 
 impl Harmonics {
-    /// Nothing.
+    /// Zero function.
     pub const ZERO: Self = Self([Rgb::ZERO; 9]);
 
-    /// All of `amount` in the unit direction `w`.
+    /// Creates the function with all of `amount` in the unit direction `w`.
     pub fn toward(w: Vec3A, amount: Rgb) -> Self {
         Self(values(w).map(|value| amount * value))
     }
 
-    /// As much from all around, so that a surface of any normal receives this irradiance.
+    /// Creates the constant function with which a surface of any normal receives this irradiance.
     pub fn even(irradiance: Rgb) -> Self {
         let mut out = Self::ZERO;
         out.0[0] = irradiance * (4.0 * 0.282_094_8);
         out
     }
 
-    /// The sum of the parts, each times the clamped cosine between its direction and `w` (unit): of light by where it comes from, the
-    /// irradiance of a surface with that normal; of surfaces' area times radiance by their normals, the intensity in that direction.
-    /// Within some percent of the greatest value, and never negative.
+    /// Returns the sum of the parts, each times the clamped cosine between its direction and `w` (unit). For light by its origin,
+    /// this is the irradiance of a surface with that normal. For surfaces' area times radiance by their normals, it is the
+    /// intensity in that direction. It is accurate to some percent of the greatest value, and never negative.
     pub fn cosine(&self, w: Vec3A) -> Rgb {
         let mut sum = Rgb::ZERO;
         for ((part, value), degree) in self.0.iter().zip(values(w)).zip(DEGREE) {
@@ -60,9 +61,9 @@ impl Harmonics {
         sum.max(Rgb::ZERO)
     }
 
-    /// The sum of the parts, whatever their directions.
+    /// Returns the sum of the parts, independent of their directions.
     pub fn total(&self) -> Rgb {
-        // The first harmonic is the same everywhere.
+        // The first harmonic is constant.
         self.0[0] / 0.282_094_8
     }
 }

@@ -1,10 +1,11 @@
-//! The radiance field: what the first pass knows of the light, asked by point.
+//! Radiance field: the light found by the first pass, evaluated by point.
 //!
-//! A [`Surface`] is one side of a triangle, of a parallelogram or of a curved shape, with two parameters over it. Its [`Cell`]s are a
-//! binary tree over the parameters; a leaf has the irradiance that comes from other surfaces and from fog, linear over the leaf, or,
-//! where a leaf is too curved for one normal, by direction ([`Harmonics`]). In fog the leaves of a tree of boxes have the same of
-//! light from all around ([`FogTree`]), and with the fog's coefficients what it sends along a [`Line`]. [`Guide`]s say where a leaf's light comes from, for those who draw directions. What comes straight from light sources is not in the field: who asks knows the sources.
-//! [`Field::encode`] makes bytes of it that a farm can keep and send.
+//! A [`Surface`] is one side of a triangle, of a parallelogram or of a curved shape, with two parameters over it. Its [`Cell`]s are
+//! a binary tree over the parameters. A leaf has the irradiance from other surfaces and from fog, linear over the leaf, or, if the
+//! leaf is too curved for one normal, by direction ([`Harmonics`]). In fog, the leaves of a tree of boxes have the mean radiance
+//! from all directions ([`FogTree`]). With the fog's coefficients, they give the light sent along a [`Line`]. [`Guide`]s describe
+//! the directions from which a leaf's light comes, for sampling. Direct light from light sources is not in the field: the caller
+//! computes it from the sources. [`Field::encode`] converts the field to bytes that a farm can store and send.
 #![deny(missing_docs)]
 
 mod cell;

@@ -5,40 +5,40 @@ use femc_math::{cross, gamma};
 /// A side of a surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// That of the geometric normal.
+    /// Side of the geometric normal.
     Front,
-    /// The other one.
+    /// Opposite side.
     Back,
 }
 
-/// What a surface is, prepared frame, m.
+/// Shape of a surface, prepared frame, m.
 #[derive(Clone, Debug)]
 pub enum Form {
     /// A corner and two edges; parameters a, b >= 0 with a + b <= 1.
     Triangle([Vec3A; 3]),
     /// A corner and two edges; parameters in [0, 1].
     Parallelogram([Vec3A; 3]),
-    /// A curved shape and its pose; parameters in [0, 1]: the angle about the axis / 2 pi, and the share of the area below.
+    /// A curved shape and its pose; parameters in [0, 1]: the angle around the axis / 2 pi, and the share of the area below.
     Curved {
-        /// In the group's frame.
+        /// Shape in the group's frame.
         shape: Quadric,
-        /// Group's frame to prepared frame, a similarity.
+        /// Transformation from the group's frame to the prepared frame, a similarity.
         pose: Affine3A,
     },
 }
 
-/// One side of a primitive, or of two that make up a parallelogram.
+/// One side of a primitive, or of two that form a parallelogram.
 #[derive(Clone, Debug)]
 pub struct Surface {
     /// Index of its instance in the world.
     pub instance: u32,
-    /// Its primitives in the instance; both the same where it is one.
+    /// Its primitives in the instance; both are equal if there is only one.
     pub primitives: [u32; 2],
-    /// Its material.
+    /// Index of its material.
     pub material: u32,
-    /// The side.
+    /// Side of the primitive.
     pub side: Side,
-    /// Its form.
+    /// Shape of the surface.
     pub form: Form,
 }
 
@@ -54,7 +54,7 @@ pub struct SurfaceSpot {
 }
 
 impl Surface {
-    /// The point with these parameters.
+    /// Returns the point with these parameters.
     pub fn at(&self, place: Vec2) -> SurfaceSpot {
         let (position, size, normal) = match &self.form {
             Form::Triangle([origin, a, b]) | Form::Parallelogram([origin, a, b]) => {
@@ -74,9 +74,9 @@ impl Surface {
         SurfaceSpot { position, error: size * gamma(12), normal }
     }
 
-    /// The parameters of a point on it.
+    /// Returns the parameters of a point on it.
     /// - `position`: the point, prepared frame, m;
-    /// - `hit`: its parameters as the ray tracer gives them.
+    /// - `hit`: its parameters from the ray tracer.
     pub fn parameters(&self, position: Vec3A, hit: [f32; 2]) -> Vec2 {
         match &self.form {
             Form::Triangle([origin, a, b]) | Form::Parallelogram([origin, a, b]) => {
@@ -88,7 +88,7 @@ impl Surface {
         }
     }
 
-    /// Area, m2.
+    /// Returns the area, m2.
     pub fn area(&self) -> f32 {
         match &self.form {
             Form::Triangle([_, a, b]) => 0.5 * cross(*a, *b).length(),
@@ -100,28 +100,28 @@ impl Surface {
         }
     }
 
-    /// Whether it has one normal.
+    /// Checks whether it has a single normal.
     pub fn is_flat(&self) -> bool {
         !matches!(self.form, Form::Curved { shape, .. } if !matches!(shape, Quadric::Ring { .. }))
     }
 
-    /// Whether its cells are polygons, with edges that are straight.
+    /// Checks whether its cells are polygons, with straight edges.
     pub fn is_polygon(&self) -> bool {
         !matches!(self.form, Form::Curved { .. })
     }
 
-    /// Whether the side sees itself.
+    /// Checks whether parts of the side are visible from other parts.
     pub fn is_concave(&self) -> bool {
         let Form::Curved { shape, .. } = &self.form else { return false };
         match shape {
             Quadric::Ring { .. } => false,
-            // A torus is both: its inner half is a saddle.
+            // A torus is partly concave: its inner half is a saddle.
             Quadric::Torus { .. } => true,
             _ => (shape.facing() == femc_geometry::Facing::Inward) != (self.side == Side::Back),
         }
     }
 
-    /// Corner and edges of a parallelogram that two triangles make up, if they do.
+    /// Returns the corner and edges of a parallelogram that two triangles form, if they do.
     pub fn joined(first: [Vec3A; 3], second: [Vec3A; 3]) -> Option<[Vec3A; 3]> {
         let same =
             |a: Vec3A, b: Vec3A| (a - b).abs().max_element() <= 4.0 * f32::EPSILON * a.abs().max(b.abs()).max_element();

@@ -1,10 +1,10 @@
-//! The leaves of a surface, one after the other.
+//! Iteration over the leaves of a surface.
 
 use crate::{Field, NONE, Outline, Split};
 
 impl Field {
-    /// All leaves of a surface with their outlines over its parameters; none of a surface without cells. They cover it without
-    /// overlap.
+    /// Returns all leaves of a surface with their outlines over its parameters; none for a surface without cells. They cover the
+    /// surface without overlap.
     pub fn leaves_of(&self, surface: u32) -> Vec<(u32, Outline)> {
         let mut leaves = Vec::new();
         let mut pending = match self.roots[surface as usize] {

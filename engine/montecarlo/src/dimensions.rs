@@ -1,4 +1,4 @@
-//! Which random numbers a path uses for what: fixed dimensions, so that one decision does not shift another.
+//! Fixed dimensions of the random numbers of a path, so that one decision does not shift the numbers of another.
 
 /// Position in the pixel (2).
 pub const FILM: u32 = 0;
@@ -7,13 +7,13 @@ pub const LENS: u32 = 2;
 /// Time in the shutter (1).
 pub const TIME: u32 = 4;
 
-/// Choice of a small source that the pixel sees (1).
+/// Choice of a small camera-visible emitter (1).
 pub const SIGHT: u32 = 5;
-/// Point on that source (2).
+/// Point on that emitter (2).
 pub const SIGHT_POINT: u32 = 6;
 
-/// First dimension of ray `ray` of a path (0: the camera's). A segment that goes through clear surfaces has several rays, each with
-/// numbers of its own: that a ray has passed a stretch of fog says something about the number that was drawn for it.
+/// Returns the first dimension of ray `ray` of a path (0: the camera's). A segment that goes through clear surfaces has several
+/// rays. Each has its own numbers: if a ray has passed a stretch of fog, that carries information about the number drawn for it.
 pub const fn ray(ray: u32) -> u32 {
     8 + ray * 24
 }
@@ -24,7 +24,7 @@ pub const LIGHT_POINT: u32 = 0;
 pub const LOBE: u32 = 3;
 /// Scattered direction (2).
 pub const DIRECTION: u32 = 4;
-/// Free distance in a medium, and the colour channel that it is drawn for (2).
+/// Free distance in a medium, and the color channel for which it is sampled (2).
 pub const DISTANCE: u32 = 6;
 /// Airlight: distance (1).
 pub const AIRLIGHT: u32 = 8;
@@ -34,19 +34,19 @@ pub const AIRLIGHT_POINT: u32 = 10;
 pub const ROULETTE: u32 = 12;
 /// Point of a glowing medium (1).
 pub const GLOW: u32 = 13;
-/// Choice of the light (2: the second number is the finer part of the first).
+/// Choice of the light (2: the second number holds the finer bits of the first).
 pub const LIGHT: u32 = 14;
 /// Airlight: choice of the light (2).
 pub const AIRLIGHT_LIGHT: u32 = 16;
-/// The finer part of the free distance (1): in thin air all events are in the first steps of 24 bits.
+/// Finer bits of the free distance (1): in thin air all events are in the first steps of 24 bits.
 pub const DISTANCE_FINE: u32 = 18;
 
-/// Airlight: colour channel that a distance is drawn for (1).
+/// Airlight: color channel for which a distance is sampled (1).
 pub const AIRLIGHT_CHANNEL: u32 = 19;
-/// Choice of a light that a path in fog is to pass (2).
+/// Choice of a light toward which a path in fog is guided (2).
 pub const TOWARD: u32 = 20;
 
-/// A number in [0, 1) of 48 bits, for choices among very many, from two of 24.
+/// Combines two numbers of 24 bits to one in [0, 1) of 48 bits, for choices among very many items.
 pub fn fine([coarse, finer]: [f32; 2]) -> f64 {
     f64::from(coarse) + f64::from(finer) / f64::from(1u32 << 24)
 }

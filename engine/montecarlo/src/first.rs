@@ -1,8 +1,8 @@
-//! The first surface that a ray from the camera meets: what features of a frame are about.
+//! First surface that a camera ray hits, for the features of a frame.
 //!
-//! Fog is no surface, nor is a boundary that is there to bound a medium alone. A clear sheet is looked through with the share of the light
-//! that goes straight through it among all that it scatters: a pane is itself in some samples, and what is behind it in the others, as it
-//! is for light paths. The number that decides is the one that chooses the lobe of a path there.
+//! Fog is not a surface, nor is a boundary that only bounds a medium. A clear sheet is passed with a probability equal to the share
+//! of the straight-through light in all light that it scatters. A pane counts as itself in some samples, and as the surface behind
+//! it in the others, as for light paths. The random number of this decision is the one that chooses the lobe of a path there.
 
 use crate::dimensions as dim;
 use crate::path::{bsdf_at, local_wo};
@@ -12,23 +12,23 @@ use femc_math::glam::Vec3A;
 use femc_math::{Rgb, SampleStream};
 use femc_prepared::{Crossing, Prepared, SurfacePoint};
 
-/// Surfaces that a ray may go through.
+/// Maximum number of surfaces that a ray may go through.
 const MOST: u32 = 1 << 12;
 
-/// What was met, prepared frame.
+/// First surface of a camera sample, prepared frame.
 #[derive(Clone, Copy, Debug)]
 pub struct FirstSurface {
     /// Instance and primitive.
     pub hit: Hit,
-    /// The point.
+    /// Point of the surface.
     pub point: SurfacePoint,
     /// Shading normal on the side of the camera, unit.
     pub normal: Vec3A,
-    /// Share of the light that it scatters: all that it reflects and transmits, but for what goes straight through.
+    /// Albedo: the share of light reflected and transmitted, without the straight-through part.
     pub albedo: Rgb,
 }
 
-/// The first surface along `ray`, the ray of a camera sample with these random numbers; `None`: it leaves the scene.
+/// Returns the first surface along `ray`, the ray of a camera sample with these random numbers. `None`: the ray leaves the scene.
 pub fn first_surface(scene: &Prepared, ray: &Ray, mut stream: SampleStream) -> Option<FirstSurface> {
     let mut ray = *ray;
     for number in 0..MOST {

@@ -1,10 +1,10 @@
-//! Participating media on a segment of a path: glow, free distances, and light scattered once.
+//! Participating media on a segment of a path: emission, free distances, and single scattering.
 //!
-//! Light scattered once on the segment is found in two ways: (1) a light by what the segment scatters of it, a distance by the same, then
-//! a point on the light; (2) a distance by transmittance, then a direction that meets the light. Both are densities over (light,
-//! distance, direction) and are joined there by the power heuristic.
+//! Single scattering on the segment is sampled in two ways. (1) Choose a light by the amount of its light that the segment
+//! scatters, a distance by the same measure, then a point on the light. (2) Sample a distance by transmittance, then a direction
+//! that hits the light. Both have densities over (light, distance, direction) and are combined there with the power heuristic.
 //!
-//! Directions after an event are drawn by the phase function or so that the path passes near a light, by a mixture of both densities.
+//! Directions after an event are sampled from the phase function or toward a light, with the density of the mixture of both.
 
 use crate::dimensions as dim;
 use crate::path::{Counters, square};
@@ -17,16 +17,17 @@ use femc_prepared::Prepared;
 use femc_prepared::airlit::{Airlit, Stretch};
 use femc_prepared::media::{Distance, Event, Inside, MediaRay};
 
-/// Share of the directions after an event that the phase function draws.
+/// Share of the directions after an event that are sampled from the phase function.
 const BY_PHASE: f32 = 0.5;
-/// Segments at whose ends directions may be drawn toward lights. In thick fog a path has thousands, and the product of so many
-/// factors that are 1 on average would be nearly 0 nearly always. On the drive 6 make paths a seventh longer than 24, for no less variance.
+/// Number of segments at whose ends directions may be sampled toward lights. In thick fog a path has thousands of segments, and the
+/// product of so many factors with mean 1 would nearly always be close to 0. On the drive through the roundabout, a value of 6
+/// makes paths a seventh longer than 24, and the variance is not lower.
 const GUIDED: u32 = 24;
-/// Angles at which the lights are looked at from a camera's ray, whose light counts most, and from later ones.
+/// Number of angles at which the lights are evaluated, for a camera ray, whose light counts most, and for later ones.
 const ANGLES_FROM_CAMERA: u32 = 6;
 const ANGLES: u32 = 3;
 
-/// The segment of the path that is looked at.
+/// The current segment of the path.
 #[derive(Clone, Copy)]
 pub struct Segment<'a> {
     /// Start, m.
@@ -35,42 +36,42 @@ pub struct Segment<'a> {
     pub dir: Vec3A,
     /// Time in the shutter.
     pub time: f32,
-    /// Closed objects that the path is in.
+    /// Closed objects that contain the segment's start.
     pub inside: &'a Inside,
-    /// Number of the segment, 0: the camera's.
+    /// Index of the segment, 0: the camera's.
     pub bounce: u32,
     /// First random dimension of the segment.
     pub base: u32,
 }
 
-/// The media of a ray, and what the lights are worth to it.
+/// The media of a ray, and the weights of the lights for it.
 #[derive(Default)]
 pub struct FoggyRay {
-    /// Its media.
+    /// Media of the ray.
     pub media: MediaRay,
-    /// The stretch on which something scatters, as the choice of a light wants it; `None`: nothing does.
+    /// Scattering stretch of the segment, as context for the choice of a light. `None`: nothing scatters.
     wanted: Option<AlongSegment>,
     choice: Choice,
 }
 
-/// A scattering event of the path, with what the weights of light met later need.
+/// A scattering event of the path, with the data for the weights of lights that are hit later.
 #[derive(Clone, Copy)]
 pub struct Collision {
     /// The event; `pdf` is the density of its distance, 1/m.
     pub event: Event,
-    /// Where it is, m.
+    /// Position, m.
     pub position: Vec3A,
 }
 
-/// A direction drawn after an event.
+/// A direction sampled after an event.
 #[derive(Clone, Copy)]
 pub struct NewDirection {
-    /// Unit.
+    /// Unit direction.
     pub dir: Vec3A,
-    /// Its density, 1/sr.
+    /// Density of the direction, 1/sr.
     pub pdf: f32,
-    /// The density that the phase function would have drawn it with, 1/sr: light that is met is weighted by this one, which costs no look at the
-    /// lights.
+    /// Density of the direction by the phase function alone, 1/sr. Light that is hit is weighted with this one, because it needs no
+    /// evaluation of the lights.
     pub phase: f32,
     /// Factor on the throughput.
     pub weight: Rgb,
@@ -81,14 +82,14 @@ pub struct NewDirection {
 pub struct Scattered {
     /// Radiance at the segment's start, cd/m2.
     pub color: Rgb,
-    /// The light that was chosen.
+    /// Index of the chosen light.
     pub light: u32,
-    /// Where it was scattered.
+    /// Event that scattered the light.
     pub event: Event,
 }
 
 impl FoggyRay {
-    /// Density, 1/m, with which way 1 chooses `light` and draws the distance of `event` on this ray.
+    /// Returns the density, 1/m, with which way 1 chooses `light` and samples the distance of `event` on this ray.
     pub fn airlight_pdf(&self, scene: &Prepared, light: u32, time: f32, event: &Event) -> f32 {
         let Some(wanted) = &self.wanted else { return 0.0 };
         let chosen = scene.lights.probability(&self.choice, wanted, light);
@@ -99,30 +100,30 @@ impl FoggyRay {
     }
 }
 
-/// The distribution of distances about a light.
+/// Returns the distribution of distances for a light.
 fn airlit(scene: &Prepared, ray: &FoggyRay, wanted: &AlongSegment, light: u32, time: f32) -> Option<Airlit> {
     let stretch = Stretch { wanted, media: &scene.media, ray: &ray.media, least_distance: scene.least_distance };
     Airlit::new(&scene.lights, &scene.world, &stretch, light, time)
 }
 
-/// The media of one segment, cut by the caller.
+/// Sampler of the media of one segment, which the caller has intersected.
 pub struct Fog<'a, 's> {
     /// The scene.
     pub scene: &'s Prepared,
-    /// The segment's media.
+    /// Media of the segment.
     pub ray: &'a mut FoggyRay,
     /// Weights of lights for directions.
     pub directions: &'a mut Choice,
-    /// Shadow rays.
+    /// Tester of shadow rays.
     pub shadow: &'a mut Shadow,
-    /// Work done.
+    /// Counters of the work.
     pub counters: &'a mut Counters,
-    /// The only technique that counts.
+    /// Only technique that counts, if set.
     pub only: Option<Technique>,
 }
 
 impl Fog<'_, '_> {
-    /// Radiance that the media of the segment emit.
+    /// Returns the radiance that the media of the segment emit.
     pub fn glow(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Rgb {
         if !self.scene.media.glows() {
             return Rgb::ZERO;
@@ -131,7 +132,7 @@ impl Fog<'_, '_> {
         self.scene.media.glow(&self.ray.media, stream.next_1d())
     }
 
-    /// Draws the distance of the next event. `Err`: none on the segment, with the weight of having gone through.
+    /// Samples the distance of the next event. `Err`: no event on the segment, with the weight of the transmission.
     pub fn collide(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Result<Collision, Rgb> {
         stream.seek(segment.base + dim::DISTANCE);
         let [u, channel] = stream.next_2d();
@@ -142,7 +143,7 @@ impl Fog<'_, '_> {
         }
     }
 
-    /// Weighs the lights for the segment; comes before [`Self::airlight`] and [`FoggyRay::airlight_pdf`].
+    /// Weighs the lights for the segment. Call it before [`Self::airlight`] and [`FoggyRay::airlight_pdf`].
     pub fn weigh(&mut self, segment: &Segment<'_>) {
         let scene = self.scene;
         self.ray.wanted = None;
@@ -157,7 +158,7 @@ impl Fog<'_, '_> {
         self.ray.wanted = Some(wanted);
     }
 
-    /// Light scattered once on the segment, by a light and a distance about it (way 1).
+    /// Samples single scattering on the segment with a light and a distance for it (way 1).
     pub fn airlight(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Option<Scattered> {
         let scene = self.scene;
         let wanted = self.ray.wanted?;
@@ -190,17 +191,17 @@ impl Fog<'_, '_> {
         Some(Scattered { color: event.weight * phase * sample.radiance * visibility * (weight / pdf), ..nothing })
     }
 
-    /// The medium of an event on the segment; of several the one that scatters most there.
+    /// Returns the medium of an event on the segment. Among several media it is the one that scatters most there.
     pub fn medium_of(&self, event: &Event) -> u16 {
         self.scene.media.medium_of(&self.ray.media, event)
     }
 
-    /// The first medium on the segment that glows.
+    /// Returns the first emitting medium on the segment.
     pub fn glowing(&self) -> u16 {
         self.scene.media.glowing(&self.ray.media)
     }
 
-    /// Where a path goes on from, for directions that pass near lights; `None` where there are no lights.
+    /// Returns the context of an event for sampling directions toward lights. `None` if there are no lights.
     fn leaving(&self, segment: &Segment<'_>, position: Vec3A, event: &Event) -> Option<FromPoint> {
         let (extinction, phase) = self.scene.media.character_at(&self.ray.media, event);
         (!self.scene.lights.many().is_empty()).then_some(FromPoint {
@@ -211,7 +212,7 @@ impl Fog<'_, '_> {
         })
     }
 
-    /// Draws the direction after an event.
+    /// Samples the direction after an event.
     pub fn scatter(
         &mut self,
         segment: &Segment<'_>,

@@ -1,8 +1,8 @@
-//! Directions at a surface, by the BSDF and by what the first pass knows of where light comes from.
+//! Sampling of directions at a surface, from the BSDF and from the guide of the first pass.
 //!
-//! A share of the directions is drawn by the guide, the others by the BSDF; whichever it was, the density is that of both together
+//! A share of the directions is sampled from the guide, the others from the BSDF. In both cases the density is that of the mixture
 //! (one-sample multiple importance sampling with the balance heuristic, \[pharr2023\]). The BSDF always has a share, so the mean is
-//! right whatever the guide says.
+//! correct for any guide.
 
 use femc_field::{Directions, Field, Side};
 use femc_geometry::Hit;
@@ -12,37 +12,37 @@ use femc_math::{Frame, Rgb};
 use femc_prepared::SurfacePoint;
 use femc_scattering::{Bsdf, BsdfSample, LobeKind, Transmitted};
 
-/// How directions are drawn at a vertex.
+/// Sampler of directions at a vertex.
 pub struct Scattering<'a> {
     bsdf: &'a Bsdf,
     frame: &'a Frame,
-    /// Local frame, toward where the path came from.
+    /// Outgoing direction, toward the previous vertex, local frame.
     wo: Vec3A,
     guide: Option<(Directions<'a>, f32)>,
-    /// What the vertex scatters toward where the path came from, by the field, without light straight from sources: albedo by channel times the
-    /// luminance of the irradiance, lx. 0: the field knows nothing.
+    /// Light that the vertex scatters toward the previous vertex according to the field, without direct light from sources: albedo
+    /// by channel times the luminance of the irradiance, lx. It is 0 if the field has no data here.
     pub ahead: Rgb,
 }
 
-/// A direction, and who drew it.
+/// A sampled direction and its sampler.
 pub struct Drawn {
-    /// The direction, its weight and its density by the BSDF and the guide together.
+    /// Direction, its weight and its density in the mixture of BSDF and guide.
     pub sample: BsdfSample,
-    /// How much more often than by the BSDF alone such a direction is drawn.
+    /// Ratio of the density actually used to that of the BSDF alone.
     pub often: f32,
-    /// Whether the guide drew it.
+    /// Whether the guide sampled the direction.
     pub by_guide: bool,
 }
 
 impl<'a> Scattering<'a> {
-    /// Without a guide.
+    /// Creates a sampler without a guide.
     pub fn new(bsdf: &'a Bsdf, frame: &'a Frame, wo: Vec3A) -> Self {
         Self { bsdf, frame, wo, guide: None, ahead: Rgb::ZERO }
     }
 
-    /// The same with a field's guide.
+    /// Adds a field's guide.
     pub fn guided(mut self, field: &'a Field, (hit, point, back): (&Hit, &SurfacePoint, bool)) -> Self {
-        // Of a gloss the guide knows nothing.
+        // The guide has no data about glossy lobes.
         let diffuse = luminance(self.bsdf.lambertian(self.wo).0);
         let side = if back { Side::Back } else { Side::Front };
         if diffuse <= 0.0 {
@@ -58,12 +58,12 @@ impl<'a> Scattering<'a> {
         self
     }
 
-    /// Whether a guide draws a share of the directions.
+    /// Checks whether a guide samples a share of the directions.
     pub fn is_guided(&self) -> bool {
         self.guide.is_some()
     }
 
-    /// Density of [`Self::sample`], 1/sr, deltas excluded.
+    /// Returns the density of [`Self::sample`], 1/sr, without deltas.
     /// - `wi`, `dir`: unit, in the local frame and in the world's.
     #[inline]
     pub fn pdf(&self, wi: Vec3A, dir: Vec3A) -> f32 {
@@ -74,8 +74,8 @@ impl<'a> Scattering<'a> {
         }
     }
 
-    /// Draws a direction from `u` in [0, 1)^2, whose first number picks who draws it, too, so that points which are spread evenly stay so for
-    /// the guide's lobes and for the BSDF; `choice` in [0, 1) picks a lobe of the BSDF. `None`: the light is absorbed.
+    /// Samples a direction from `u` in [0, 1)^2. The first number also picks the sampler, so that evenly spread points stay so for
+    /// the guide's lobes and for the BSDF. `choice` in [0, 1) picks a lobe of the BSDF. `None`: the light is absorbed.
     #[inline]
     pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<Drawn> {
         let Some((directions, share)) = &self.guide else {
@@ -88,7 +88,7 @@ impl<'a> Scattering<'a> {
             let transmitted = if wi.z * self.wo.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
             BsdfSample { wi, weight: Rgb::ZERO, pdf: 0.0, lobe: LobeKind::Diffuse, transmitted, eta: 1.0 }
         } else {
-            // Below 1 by rounding.
+            // Clamped below 1 because of rounding.
             let rest = ((u[0] - share) / (1.0 - share)).min(1.0 - f32::EPSILON / 2.0);
             self.bsdf.sample(self.wo, [rest, u[1]], choice)?
         };
@@ -105,7 +105,7 @@ impl<'a> Scattering<'a> {
         let by_lobes = directions.pdf(self.frame.to_world(drawn.wi));
         drawn.pdf = by_bsdf * (1.0 - share) + by_lobes * share;
         drawn.weight = value / drawn.pdf;
-        // The BSDF may draw whatever it scatters, so its density is 0 by rounding at most.
+        // The BSDF can sample everything that it scatters, so its density is 0 only by rounding.
         let often = drawn.pdf / by_bsdf.max(1e-6 * drawn.pdf);
         Some(Drawn { sample: drawn, often, by_guide })
     }

@@ -1,8 +1,8 @@
-//! The second pass: unbiased path tracing of surfaces and fog.
+//! Second pass: unbiased path tracing of surfaces and fog.
 //!
-//! Direct light is joined from drawing a light and a point on it, in fog with a distance by what is scattered of that light, and from scattering
-//! that meets the light, by multiple importance sampling. The kernel is monomorphised over what the scene needs (media or none), chosen
-//! once a tile.
+//! Direct light combines two samplers with multiple importance sampling: a light and a point on it, in fog together with a distance
+//! by the scattered amount of that light, and scattering that hits the light. The kernel is monomorphized over the scene's needs
+//! (media or none) and chosen once per tile.
 #![deny(missing_docs)]
 
 mod dimensions;

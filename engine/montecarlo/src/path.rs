@@ -1,4 +1,4 @@
-//! The path loop.
+//! Path loop.
 
 use crate::dimensions as dim;
 use crate::fog::{Collision, Fog, FoggyRay, Scattered, Segment};
@@ -20,98 +20,99 @@ use femc_prepared::{Crossing, KernelMaterial, Orientation, Prepared, SurfacePoin
 use femc_scattering::{Bsdf, LobeKind, Transmitted};
 use std::f32::consts::FRAC_1_PI;
 
-/// Rays after which Russian roulette may end a path.
+/// Number of rays after which Russian roulette may end a path.
 const ROULETTE_FROM: u32 = 4;
-/// A path survives for sure while it has at least this share of its weight, in a scene of surfaces alone. A share of 1 would end paths
-/// earlier: measured on Cornell boxes that costs a quarter more variance and saves 15 % of the work.
+/// Threshold of Russian roulette in a scene without media. A path survives with certainty while its weight is at least this. A
+/// threshold of 1 would end paths earlier: on Cornell boxes that costs a quarter more variance and saves 15 % of the work.
 const SPARED: f32 = 0.25;
-/// The same in a scene with media, where a path's later vertices cost more (each has a segment of fog, too) and bring less.
+/// Threshold of Russian roulette in a scene with media. There, later vertices of a path cost more (each also has a segment of fog)
+/// and contribute less.
 const SPARED_IN_MEDIA: f32 = 0.8;
-/// Least chance that a path survives by what a field expects, over that by its weight alone.
+/// Minimum survival probability by the field's expectation, relative to the probability by the weight alone.
 const LEAST_KEPT: f32 = 0.5;
-/// Rays after which a path may end even if it has lost nothing.
+/// Number of rays after which a path may end even without loss of throughput.
 const LONG: u32 = 128;
-/// Rays after which it is ended more often.
+/// Number of rays after which a long path ends with a higher probability.
 const VERY_LONG: u32 = 1 << 16;
 
-/// Points that a sample draws on the small sources that its pixel sees. There are few such pixels, and what hides a part of a lamp
+/// Number of points that a sample draws on the small emitters visible in its pixel. Such pixels are few, and partly occluded lamps
 /// would make them the noisiest of all.
 const SIGHTS: u32 = 4;
 
-/// What a path may do.
+/// Settings of paths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathSettings {
     /// Key of the random streams.
     pub seed: u64,
-    /// Longest path in segments (1: what the camera sees directly); 0: no bound.
+    /// Maximum path length in segments (1: directly visible light only); 0: unlimited.
     pub max_depth: u32,
-    /// The only way in which light is found where there are several, for tests; `None`: all, joined.
+    /// Only technique to use where there are several, for tests. `None`: all techniques, combined.
     pub only: Option<Technique>,
 }
 
 /// Work done by a tracer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Closest-hit rays.
+    /// Number of closest-hit rays.
     pub rays: u64,
-    /// Shadow rays.
+    /// Number of shadow rays.
     pub shadow_rays: u64,
-    /// Path segments.
+    /// Number of path segments.
     pub segments: u64,
-    /// Vertices at which a guide draws a share of the directions.
+    /// Number of vertices at which a guide samples a share of the directions.
     pub guided: u64,
 }
 
 /// The result of one camera sample.
 #[derive(Clone, Copy, Debug)]
 pub struct PathSample {
-    /// Radiance, cd/m2. Not checked: the film refuses what is not finite.
+    /// Radiance, cd/m2. It is not checked; the film rejects values that are not finite.
     pub color: Rgb,
     /// Reflectance at the first surface.
     pub albedo: Rgb,
-    /// Distance of the first surface along the view axis, m; infinite when there is none.
+    /// Distance of the first surface along the view axis, m; infinite if there is none.
     pub depth: f32,
 }
 
-/// Where the samples of a pixel lie on the film.
+/// Distribution of the samples of a pixel on the film.
 pub trait PixelFilter: Copy {
-    /// Offset from the pixel's center, pixels, for `u` in [0, 1)^2.
+    /// Returns the offset from the pixel's center, pixels, for `u` in [0, 1)^2.
     fn sample(self, u: [f32; 2]) -> [f32; 2];
-    /// Density of [`Self::sample`], 1/pixel2.
+    /// Returns the density of [`Self::sample`], 1/pixel2.
     fn density(self, offset: [f32; 2]) -> f32;
 }
 
-/// The vertex before the present segment, for multiple importance sampling of light that is met by chance.
+/// The vertex before the current segment, for multiple importance sampling of light that the path hits.
 #[derive(Clone, Copy)]
 struct Previous {
     position: Vec3A,
     came: Came,
 }
 
-/// How a segment began.
+/// Origin of a segment.
 #[derive(Clone, Copy)]
 enum Came {
-    /// By the only way: from a mirror, or from the camera where it sees no small sources.
+    /// Delta origin: a mirror, or the camera if it sees no small emitters.
     Surely,
-    /// From the camera. Small sources that it sees are drawn, too.
+    /// Camera. Its visible small emitters are sampled, too.
     Camera {
-        /// The pixel.
+        /// Index of the pixel.
         pixel: u32,
-        /// The place on the film, pixels.
+        /// Position on the film, pixels.
         place: [f32; 2],
-        /// Density of the place on the film, 1/pixel2.
+        /// Density of the position on the film, 1/pixel2.
         density: f32,
-        /// Of a pixel there, sr.
+        /// Solid angle of a pixel there, sr.
         solid_angle: f32,
     },
-    /// From a surface.
+    /// Surface.
     Surface {
-        /// As the lights were weighed for it.
+        /// Context for which the lights were weighed.
         wanted: AtPoint,
         /// Density of the direction, 1/sr.
         pdf: f32,
     },
-    /// From a medium.
+    /// Medium.
     Medium {
         collision: Collision,
         /// Density of the direction by the phase function alone, 1/sr.
@@ -119,7 +120,7 @@ enum Came {
     },
 }
 
-/// Calls the recorder with an event of the path, if the recorder hears of all events of this sample ([`Hears::All`]).
+/// Calls the recorder with an event of the path, if the recorder receives all events of this sample ([`Hears::All`]).
 macro_rules! tell {
     ($tracer:ident.$what:ident($($about:tt)*)) => {
         if HEARD {
@@ -128,37 +129,38 @@ macro_rules! tell {
     };
 }
 
-/// Traces the samples of one frame on one thread.
-/// - `R`: hears of what the paths do; `()`: nobody does.
+/// Tracer of the samples of one frame on one thread.
+/// - `R`: recorder of the paths; `()` records nothing.
 pub struct Tracer<'a, R = ()> {
     scene: &'a Prepared,
     settings: PathSettings,
-    /// The segment that the path is in, and the one whose end it was scattered from.
+    /// Media of the current segment, and of the segment before the latest vertex.
     fog: FoggyRay,
     fog_before: FoggyRay,
     /// Weights of the lights for the latest surface, and for directions from a point in fog.
     at_surface: Choice,
     directions: Choice,
     shadow: Shadow,
-    /// Where all but the light of sources comes from, in place of longer paths.
+    /// Source of all light except that of emitters, in place of longer paths.
     field: Option<&'a Field>,
-    /// What directions are drawn by, besides the BSDF.
+    /// Field that guides directions, in addition to the BSDF.
     guide: Option<&'a Field>,
     /// Work done so far.
     pub counters: Counters,
-    /// Who hears of the paths.
+    /// Recorder of the paths.
     pub recorder: R,
 }
 
 impl<'a> Tracer<'a> {
-    /// A tracer of `scene`.
+    /// Creates a tracer of `scene`.
     pub fn new(scene: &'a Prepared, settings: PathSettings) -> Self {
         Self::recording(scene, settings, ())
     }
 }
 
 impl<'a, R: Recorder> Tracer<'a, R> {
-    /// A tracer of `scene` that tells `recorder` what it does. The samples are the same to the bit.
+    /// Creates a tracer of `scene` that reports its paths to `recorder`. The samples are identical to the bit to those without a
+    /// recorder.
     pub fn recording(scene: &'a Prepared, settings: PathSettings, recorder: R) -> Self {
         Self {
             scene,
@@ -175,23 +177,22 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         }
     }
 
-    /// The same with light by a field: a path ends where it is scattered diffusely, or in fog, with the field's light, and goes on from
-    /// mirrors, glossy and clear surfaces alone. The samples are those of the field, with its errors.
+    /// Ends paths with the light of a field where they are scattered diffusely, or in fog. Paths continue only from mirrors, glossy
+    /// and clear surfaces. The samples then have the errors of the field.
     pub fn with_field(mut self, field: &'a Field) -> Self {
         self.field = Some(field);
-        // Light of sources comes by being drawn: where the path ends nothing else could find it.
+        // Light of sources must be sampled: where the path ends, nothing else could find it.
         self.settings.only = Some(Technique::Light);
         self
     }
 
-    /// The same with directions at surfaces drawn by what a field knows of the light there, too. The mean of the samples is the same,
-    /// whatever is in the field.
+    /// Samples directions at surfaces also from the guide of a field. The mean of the samples is unchanged for any field.
     pub fn guided_by(mut self, field: &'a Field) -> Self {
         self.guide = Some(field);
         self
     }
 
-    /// Draws sample `sample` of `pixel` (row-major index in the whole film).
+    /// Computes sample `sample` of `pixel` (row-major index in the whole film).
     #[inline(always)]
     pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
         let hears = self.recorder.begin(pixel, sample);
@@ -219,12 +220,12 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let point = stream.next_2d();
             for part in 0..SIGHTS {
                 let number = (choice + part as f32 / SIGHTS as f32).fract();
-                // A quarter of the square each.
+                // One quarter of the square for each point.
                 let point = [0, 1].map(|axis| 0.5 * (point[axis] + (part >> axis & 1) as f32));
                 drawn += self.sight(seen, &view, time, center, filter, number, point, hears);
             }
         }
-        // What hears of the end alone slows no path down.
+        // Recorders that only receive the end do not slow the path down.
         let mut out = match (self.scene.media.is_empty(), hears) {
             (true, Hears::End) => self.trace::<false, false>(ray, came, stream),
             (false, Hears::End) => self.trace::<true, false>(ray, came, stream),
@@ -235,8 +236,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         out
     }
 
-    /// Light that comes straight from a small source to the camera, by one of [`SIGHTS`] points drawn on sources.
-    /// - `number`: chooses the source, `u` the point; in [0, 1).
+    /// Samples light that travels straight from a small emitter to the camera, with one of [`SIGHTS`] points.
+    /// - `number`: chooses the emitter, `u` the point; in [0, 1).
     fn sight(
         &mut self,
         seen: Seen<'_>,
@@ -250,7 +251,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     ) -> Rgb {
         let scene = self.scene;
         let choice = seen.choose(number, center);
-        // The point, its place on the film and the density of that, 1/pixel2.
+        // Point, its position on the film, and the density of that, 1/pixel2.
         let drawn = match &choice.part {
             Some(part) => part.sample(u).and_then(|place| {
                 let dir = view.ray(place).dir;
@@ -304,13 +305,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let mut throughput = Rgb::ONE;
         let mut inside = scene.camera_inside;
         let mut previous = Previous { position: ray.origin, came };
-        // What the throughput was scaled by that roulette must not count: squares of index ratios, and what directions were drawn by instead of
-        // the phase function. Where only the latest of these densities counts, the reference roundabout has 8 % more variance.
+        // Factors of the throughput that Russian roulette must ignore: squares of index ratios, and ratios of densities from the
+        // mixtures that replaced the BSDF or the phase function. If only the latest ratio counts, the reference roundabout has 8 %
+        // more variance.
         let mut scale = 1.0f32;
-        // What the field expects of the path from its first vertex on that the field knows.
+        // Light that the field expects of the path at the first vertex for which the field has data.
         let mut promised = 0.0f32;
         let mut first = true;
-        // The segment that the path is in, and its rays until now: a segment that goes through clear surfaces has several.
+        // Current segment of the path, and its number of rays. A segment that goes through clear surfaces has several rays.
         let (mut segment, mut rays, mut vertices) = (0u32, 0u32, 0u32);
         loop {
             let base = dim::ray(rays);
@@ -574,14 +576,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 break;
             }
         }
-        // A path that went wrong and met no light after that would pass for a dark one: the film is to count it.
+        // A path with an invalid throughput that found no light afterwards would look dark. The film must count it as a bad sample.
         if !throughput.is_finite() {
             out.color = Rgb::NAN;
         }
         out
     }
 
-    /// Emission of a surface that the path met, weighted against the strategies that could have found it.
+    /// Returns the emission of a surface that the path hit, weighted against the other techniques that could have found it.
     #[inline]
     fn met_light(&self, ray: &Ray, point: &SurfacePoint, previous: &Previous) -> Rgb {
         let (scene, light) = (self.scene, point.light);
@@ -623,8 +625,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         radiance * weight(self.settings.only, Technique::Scatter, others)
     }
 
-    /// Direct light on a surface by sampling a light.
-    /// - `chosen`: its index, and the probability of that.
+    /// Computes direct light on a surface by sampling a light.
+    /// - `chosen`: index of the light, and the probability of choosing it.
     #[inline]
     fn direct<const MEDIA: bool, const HEARD: bool>(
         &mut self,
@@ -673,8 +675,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     }
 }
 
-/// The ray from where nothing of a lamp's light was scattered to the point on the lamp that was drawn for it; `None`: the lamp does not
-/// shine from there.
+/// Returns the ray from a point in fog to the point that was sampled on a lamp, for a sample without light. `None`: the lamp emits
+/// nothing toward the point.
 #[cold]
 fn shadow_of(scene: &Prepared, stretch: &Segment<'_>, scattered: &Scattered, stream: &mut SampleStream) -> Option<Ray> {
     let position = stretch.origin + stretch.dir * scattered.event.t;
@@ -685,25 +687,25 @@ fn shadow_of(scene: &Prepared, stretch: &Segment<'_>, scattered: &Scattered, str
     (point.radiance != Rgb::ZERO).then(|| segment((position, Vec3A::ZERO, Vec3A::ZERO), lamp, time))
 }
 
-/// How a surface scatters toward a viewer who looks along `dir`, where that says more than its normal.
+/// Returns the lobes of a surface toward a viewer who looks along `dir`, if they contain more information than its normal.
 #[inline]
 fn lobes(bsdf: &Bsdf, wo: Vec3A, dir: Vec3A) -> Option<Lobes> {
     let (diffuse, glossy, alpha) = bsdf.glossy_lobes(wo)?;
     Some(Lobes { diffuse, glossy, alpha, toward: -dir })
 }
 
-/// Russian roulette; also ends paths that carry nothing.
+/// Performs Russian roulette, and ends paths with a throughput of 0.
 ///
-/// What a path has lost decides, beyond what is spared: where little is absorbed, a path of many segments has not lost its weight, and weights that grew
-/// with every segment would have infinite variance. A long path ends all the same: its chance to have `n` rays is `LONG / n`, so that
-/// weights grow no faster than paths, and the square of that over `VERY_LONG`, so that the mean length is bounded in endless fog
-/// that absorbs nothing.
+/// The survival probability is the remaining weight over the threshold. Where little is absorbed, a path of many segments keeps its
+/// weight. Weights that grew with every segment would have infinite variance. A long path ends all the same: its probability to
+/// have `n` rays is `LONG / n`, so that weights grow no faster than paths, and the square of that over `VERY_LONG`, so that the
+/// mean length is bounded in endless fog that absorbs nothing.
 ///
-/// Where a field knows how much light comes to a vertex, that decides (\[vorba2016\]): a path that a guide has sent to much light has a small
-/// weight for that reason and is worth following; one of great weight in the dark is not. The field may be wrong, so the chance to
-/// survive is at least [`LEAST_KEPT`] of that by the weight.
-/// - `scale`: factor of the weight here: what guides and refraction have changed it by does not count;
-/// - `kept`: light that the field expects of the path from here on, over that from the first vertex on.
+/// If a field knows the light that arrives at a vertex, this determines the probability (\[vorba2016\]). A path that a guide has
+/// sent toward much light has a small weight for that reason and is worth continuing. A path of great weight in the dark is not.
+/// The field may be wrong, so the survival probability is at least [`LEAST_KEPT`] times that by the weight.
+/// - `scale`: factor of the weight here, which removes the changes by guides and refraction;
+/// - `kept`: light that the field expects of the path from here on, relative to that from the first vertex on.
 #[inline]
 fn survives<const MEDIA: bool>(
     rays: u32,
@@ -737,20 +739,20 @@ fn survives<const MEDIA: bool>(
     true
 }
 
-/// The rest of a ray behind a surface that it goes straight through. It stays on its segment: light that is sampled comes the same
-/// way to the vertex before, so that what is met is weighted against that.
+/// Returns the rest of a ray behind a surface that it goes straight through. The ray stays on its segment: sampled light reaches
+/// the previous vertex through the same surfaces, so light that is hit is weighted against that.
 #[inline]
 fn straight_on(ray: &Ray, point: &SurfacePoint, inside: &mut Inside, material: &KernelMaterial, back: bool) -> Ray {
     cross(inside, material, back);
     Ray { origin: offset_origin(point.position, point.error, point.normal, ray.dir), ..*ray }
 }
 
-/// Light of a field at a path's latest vertex.
+/// Creates the contribution of a field at a path's latest vertex.
 fn from_field(color: Rgb, throughput: Rgb, bounce: u32, position: Vec3A) -> Contribution {
     Contribution { color, throughput, bounce, found: Found::Field, light: None, position }
 }
 
-/// The BSDF at a point of a material.
+/// Returns the BSDF at a point of a material.
 #[inline]
 pub(crate) fn bsdf_at(scene: &Prepared, material: &KernelMaterial, point: &SurfacePoint) -> Bsdf {
     match material.map_rd {
@@ -759,7 +761,7 @@ pub(crate) fn bsdf_at(scene: &Prepared, material: &KernelMaterial, point: &Surfa
     }
 }
 
-/// The shading frame and the direction toward the viewer in it.
+/// Returns the shading frame, and the direction toward the viewer in it.
 #[inline]
 pub(crate) fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec3A) -> (Frame, Vec3A) {
     let outward = -dir;
@@ -770,7 +772,7 @@ pub(crate) fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec
     }
     let mut frame = Frame::from_normal(shading);
     let mut wo = frame.to_local(outward);
-    // An interpolated normal may put the viewer on the wrong side of the surface: shade with the geometric normal there.
+    // An interpolated normal may put the viewer on the wrong side of the surface. Then the geometric normal is used for shading.
     let expected_front = !back || material.faces_viewer == Orientation::TowardViewer;
     if (wo.z > 0.0) != expected_front {
         let normal =
@@ -781,7 +783,8 @@ pub(crate) fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec
     (frame, wo)
 }
 
-/// Normal of the side that light is scattered from, as the choice of a light wants it; zero where light comes through.
+/// Returns the normal of the side from which light is scattered, as context for the choice of a light; zero if the surface
+/// transmits light.
 #[inline]
 fn lit_side(bsdf: &Bsdf, point: &SurfacePoint, back: bool) -> Vec3A {
     if bsdf.transmits() {
@@ -793,16 +796,16 @@ fn lit_side(bsdf: &Bsdf, point: &SurfacePoint, back: bool) -> Vec3A {
     }
 }
 
-/// Whether shading and geometry agree on the side of `wi`.
+/// Checks whether shading and geometry agree on the side of `wi`.
 #[inline]
 fn same_side(frame: &Frame, point: &SurfacePoint, local: Vec3A, world: Vec3A) -> bool {
-    // The frame's normal may be turned against the front side.
+    // The frame's normal may point away from the front side.
     let turned = frame.normal.dot(point.normal) < 0.0;
     let geometric = point.normal.dot(world);
     (local.z > 0.0) == ((geometric > 0.0) != turned)
 }
 
-/// The path goes through a surface: from the front into what is behind, or back out.
+/// Updates the media when the path crosses a surface, from the front into the object or back out.
 #[inline]
 pub(crate) fn cross(inside: &mut Inside, material: &KernelMaterial, from_back: bool) {
     if let Some(medium) = material.inside {

@@ -1,8 +1,8 @@
-//! What a path tells of itself, for those who ask where its light came from.
+//! Recording of paths, to analyze where their light comes from.
 //!
-//! A sample is a function of seed, frame, pixel and number: it can be traced again at any time, and this time with a recorder.
-//! The recorder `()` of ordinary rendering hears nothing. All that is told is told by closures which it does not call, so that
-//! what they would have to find out costs nothing.
+//! A sample is a function of seed, frame, pixel and number. It can be traced again at any time, this time with a recorder. The
+//! recorder `()` of ordinary rendering ignores everything. Events are passed as closures which it does not call, so computing them
+//! costs nothing.
 
 use femc_geometry::Ray;
 use femc_math::Rgb;
@@ -11,46 +11,49 @@ use femc_prepared::camera::View;
 use femc_scattering::Bsdf;
 pub use femc_scattering::Transmitted;
 
-/// Events of a sample that a recorder is told.
+/// Events of a sample that a recorder receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hears {
-    /// The end: why the path stops, and the sample's radiance.
+    /// Only the end: the reason why the path stops, and the sample's radiance.
     End,
-    /// The end, and every vertex and contribution before it.
+    /// The end, and all vertices and contributions before it.
     All,
 }
 
-/// What the tracer calls for each vertex of a path, for each contribution to a sample, and at the path's end.
+/// Recorder that the tracer calls for each vertex of a path, for each contribution to a sample, and at the path's end.
 pub trait Recorder {
-    /// Whether it wants to hear what hides light ([`Self::hidden`]): to find that out takes work.
+    /// Whether the recorder wants the occluders of light ([`Self::hidden`]), which takes work to find.
     const HIDDEN: bool = true;
-    /// Whether it wants to hear of light that was drawn and adds nothing: it is hidden, or on a side that scatters none.
+    /// Whether the recorder wants sampled light that contributes nothing because it is occluded or on a side that does not scatter.
     const DARK: bool = true;
-    /// Whether it wants to hear of camera rays ([`Self::camera`]).
+    /// Whether the recorder wants camera rays ([`Self::camera`]).
     const CAMERA: bool = false;
 
-    /// A camera sample begins: its pixel, a row-major index in the whole film, and its number. Says what is to be heard of it.
+    /// Begins a camera sample and returns the events to report for it.
+    /// - `pixel`: row-major index in the whole film;
+    /// - `sample`: number of the sample.
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears;
-    /// The sample's ray leaves the camera, whatever else is to be heard of the sample.
-    /// - `view`: what the point `lens` of the lens, in [0, 1)^2, sees at the ray's time.
+    /// Records the camera ray of the sample, independent of the other events to report.
+    /// - `view`: the view of the point `lens` of the lens, in [0, 1)^2, at the ray's time.
     fn camera(&mut self, _view: &View, _lens: [f32; 2], _ray: &Ray) {}
-    /// The path has come to a surface that may scatter, or to a collision in a medium.
+    /// Records that the path reached a surface that may scatter, or a collision in a medium.
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
-    /// The path goes on from its latest vertex.
+    /// Records that the path leaves its latest vertex.
     fn leave(&mut self, way: Leaving);
-    /// The light that was drawn for the latest vertex, or for a point in fog, is hidden by a surface: its contribution, which is told next, is 0.
+    /// Records that a surface occludes the light sampled for the latest vertex, or for a point in fog. Its contribution, which is
+    /// reported next, is 0.
     fn hidden(&mut self, shadow: impl FnOnce() -> Ray);
-    /// What the surface of the latest vertex is to the direction that is told next: the one that the path goes on in, or that of the light
-    /// that was drawn, unless it is hidden. Of a mirror and of clear surfaces nothing is told.
+    /// Records the scattering lobes of the latest vertex's surface for the direction that is reported next: the direction in which
+    /// the path continues, or that of the sampled light, unless it is occluded. It is not called for mirrors and clear surfaces.
     fn split(&mut self, _split: impl FnOnce() -> Split) {}
-    /// Light was found.
+    /// Records a light contribution.
     fn light(&mut self, contribution: impl FnOnce() -> Contribution);
-    /// The path goes no further.
+    /// Records that the path stops.
     /// - `vertices`: number of vertices of the path;
-    /// - `throughput`: of the path; 0 if it stops because nothing is left.
+    /// - `throughput`: throughput of the path; 0 if it stops because nothing is left.
     fn stop(&mut self, vertices: u32, why: Stop, throughput: Rgb);
-    /// The sample is done.
-    /// - `color`: its radiance, cd/m2 by channel; `None`: the film refuses it.
+    /// Ends the sample.
+    /// - `color`: radiance of the sample, cd/m2 by channel; `None`: the film rejects it.
     fn end(&mut self, color: Option<Rgb>);
 }
 
@@ -73,30 +76,30 @@ impl Recorder for () {
     fn end(&mut self, _: Option<Rgb>) {}
 }
 
-/// Why a path goes no further.
+/// Reason why a path stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stop {
-    /// It has left the scene.
+    /// The path left the scene.
     Escaped,
-    /// Nothing was scattered, or what was had no way to go.
+    /// Nothing was scattered, or the scattered direction was not possible.
     Absorbed,
     /// Russian roulette.
     Roulette,
-    /// It has as many segments as it may.
+    /// The path reached the maximum number of segments.
     Depth,
-    /// It ended with the light of a field.
+    /// The path ended with the light of a field.
     Field,
 }
 
 impl Stop {
-    /// Of a path that roulette, or having lost everything, has ended.
+    /// Returns the reason for a path that ended by roulette or because nothing is left.
     #[inline]
     pub(crate) fn of_lost(throughput: Rgb) -> Self {
         if throughput.max_element() > 0.0 { Self::Roulette } else { Self::Absorbed }
     }
 }
 
-/// What a path meets.
+/// Object or medium at a vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Place {
     /// A surface of `Prepared::instances`.
@@ -108,67 +111,67 @@ pub enum Place {
         /// Index of the material.
         material: u32,
     },
-    /// A medium, by its index.
+    /// A medium, by index.
     Medium(u16),
 }
 
 /// A vertex of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
-    /// What is there.
+    /// Surface or medium there.
     pub place: Place,
-    /// Where it is, prepared frame, m.
+    /// Position, prepared frame, m.
     pub position: Vec3A,
-    /// The segment that ends there; 0: the camera's.
+    /// Index of the segment that ends there; 0: the camera's.
     pub bounce: u32,
-    /// Factor of the path on arrival.
+    /// Throughput of the path on arrival.
     pub throughput: Rgb,
 }
 
-/// How a path goes on from a vertex.
+/// Way in which a path leaves a vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Leaving {
-    /// Straight through a clear surface: the path stays on its segment.
+    /// Straight through a clear surface. The path stays on its segment.
     Straight,
-    /// In the only direction of a mirror, or of glass that bends.
+    /// Specular reflection, or refraction by glass.
     Delta(Transmitted),
-    /// In one of many directions.
+    /// Scattering in one of many directions.
     Scattered {
         /// Density of the direction, 1/sr.
         pdf: f32,
-        /// What scatters so.
+        /// Kind of the scatterer.
         by: Scatterer,
-        /// Whether the direction was drawn by what a first pass knows of the light there.
+        /// Whether the direction was sampled from the guide of a first pass.
         by_guide: bool,
     },
 }
 
-/// Parts of what a surface scatters from one direction into another.
+/// Lobes that scatter light from one direction into another at a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Split {
     /// Whether the directions lie on different sides.
     pub transmitted: Transmitted,
-    /// What scatters.
+    /// Lobes with a contribution.
     pub lobes: Lobes,
 }
 
 /// Lobes of a surface between two directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Lobes {
-    /// All is scattered diffusely.
+    /// Only diffuse scattering.
     Diffuse,
-    /// All is scattered about a direction.
+    /// Only glossy scattering.
     Glossy,
-    /// Both: the share by channel that is scattered diffusely, in 0..1.
+    /// Both kinds, with the diffuse share by channel, in 0..1.
     Both(Rgb),
 }
 
 impl Split {
-    /// Of light from `wi` to `wo`, unit, local frame, some of which is scattered: by the side that it comes from and by the lobes' shares of the
-    /// BSDF's value there, whatever drew the direction.
+    /// Returns the split for light from `wi` to `wo`, unit, local frame, of which a part is scattered. It depends on the side from
+    /// which the light comes and on the lobes' shares of the BSDF's value there, not on the sampler of the direction.
     #[inline]
     pub(crate) fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
-        // The most frequent by far: it scatters to one side alone.
+        // By far the most frequent BSDF. It scatters to only one side.
         if matches!(bsdf, Bsdf::Diffuse(_)) {
             return Self { transmitted: Transmitted::No, lobes: Lobes::Diffuse };
         }
@@ -191,67 +194,67 @@ impl Lobes {
     }
 }
 
-/// What scatters in many directions.
+/// Kind of a scatterer with many directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scatterer {
     /// A Lambertian lobe, reflected or transmitted.
     Diffuse,
-    /// A lobe about a direction.
+    /// A lobe around a direction.
     Glossy,
     /// A phase function.
     Phase,
 }
 
-/// How light was found.
+/// Technique that found light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Found {
-    /// A point on a lamp was drawn from the camera.
+    /// A point on a lamp was sampled from the camera.
     Sight,
-    /// The path has met a lamp.
+    /// The path hit a lamp.
     Met,
-    /// A point on a lamp was drawn from a surface, the latest vertex.
+    /// A point on a lamp was sampled from a surface, the latest vertex.
     Surface,
-    /// A lamp was chosen for the segment, and a distance by what this medium scatters of its light.
+    /// A lamp was sampled for the segment, with a distance by its light that this medium scatters.
     Airlight(u16),
-    /// The segment goes through this medium, which glows.
+    /// This medium on the segment emits light.
     Glow(u16),
     /// The path ended at its latest vertex with the light of a field.
     Field,
 }
 
-/// A part of a sample.
+/// Light contribution to a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contribution {
-    /// What it adds to the sample, cd/m2: after throughput and weight.
+    /// Contribution to the sample, cd/m2, including throughput and weight.
     pub color: Rgb,
-    /// Factor of the path up to the segment, or to the vertex; a part of `color`.
+    /// Throughput of the path up to the segment, or to the vertex; already a factor of `color`.
     pub throughput: Rgb,
-    /// The segment that it was found on or at the end of; 0: the camera's.
+    /// Index of the segment that found the light, on it or at its end; 0: the camera's.
     pub bounce: u32,
-    /// How it was found.
+    /// Technique that found the light.
     pub found: Found,
-    /// Index of the light; `None`: a medium that glows, a field, or no light could be chosen.
+    /// Index of the light. `None`: an emitting medium, a field, or no light could be chosen.
     pub light: Option<u32>,
-    /// Of a lamp met or drawn from the camera the point on it, else the point that it lights; where a medium glows the segment's start.
-    /// Prepared frame, m.
+    /// Point on the lamp, if it was hit or sampled from the camera. The segment's start, if a medium emits. Else the point that the
+    /// light illuminates. Prepared frame, m.
     pub position: Vec3A,
 }
 
-/// A vertex, and how the path has left it.
+/// A vertex, and the way in which the path left it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// The vertex.
+    /// Vertex of the path.
     pub vertex: Vertex,
-    /// `None`: the path ended there.
+    /// Way in which the path left. `None`: the path ended there.
     pub leaving: Option<Leaving>,
 }
 
-/// All about one sample: a recorder that keeps everything until the next sample begins.
+/// Recorder that keeps all events of one sample until the next sample begins.
 #[derive(Clone, Debug, Default)]
 pub struct Recording {
-    /// The vertices in order.
+    /// Vertices in order.
     pub steps: Vec<Step>,
-    /// The contributions in order, each with the number of vertices that the path had until then.
+    /// Contributions in order, each with the number of vertices of the path up to then.
     pub contributions: Vec<(Contribution, usize)>,
 }
 
@@ -287,25 +290,25 @@ impl Recorder for Recording {
 }
 
 impl Recording {
-    /// The vertex that a path with so many vertices came to a lamp from: the latest that it has not gone straight through;
-    /// `None`: it came from the camera.
+    /// Returns the vertex from which a path with this number of vertices reached a lamp: the last one that it did not go straight
+    /// through. `None`: it came from the camera.
     pub fn source(&self, vertices: usize) -> Option<&Step> {
         self.steps[..vertices].iter().rev().find(|step| step.leaving != Some(Leaving::Straight))
     }
 }
 
-/// Two recorders of the same paths.
+/// Pair of recorders of the same paths.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Both<A, B> {
-    /// The first.
+    /// First recorder.
     pub first: A,
-    /// The second.
+    /// Second recorder.
     pub second: B,
     hears: [bool; 2],
 }
 
 impl<A, B> Both<A, B> {
-    /// Both of them.
+    /// Combines two recorders.
     pub fn new(first: A, second: B) -> Self {
         Self { first, second, hears: [false; 2] }
     }
@@ -357,7 +360,7 @@ impl<A: Recorder, B: Recorder> Recorder for Both<A, B> {
     }
 }
 
-/// Tells those of two recorders that hear of the sample.
+/// Calls those of two recorders that receive events of the sample.
 fn both<A, B, T: Copy>(
     Both { first, second, hears }: &mut Both<A, B>,
     what: impl FnOnce() -> T,

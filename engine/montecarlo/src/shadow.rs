@@ -8,18 +8,18 @@ use femc_math::glam::Vec3A;
 use femc_prepared::Prepared;
 use femc_prepared::media::{Inside, MediaRay};
 
-/// Clear surfaces that a shadow ray may pass; behind more it is given up as a bad sample.
+/// Maximum number of clear surfaces that a shadow ray may pass. Behind more, the sample counts as bad.
 const MAX_CROSSINGS: u32 = 1 << 16;
 
-/// Shadow rays and their buffers.
+/// Shadow ray tester with its buffers.
 #[derive(Default)]
 pub struct Shadow {
     media: MediaRay,
 }
 
 impl Shadow {
-    /// Share of the light of `light` that reaches `from` (position, error bound, normal; zero normal: a point in a medium),
-    /// 0 where something opaque is between. `inside`: the media at the start of the segment.
+    /// Returns the share of the light of `light` that reaches `from` (position, error bound, normal; zero normal: a point in a
+    /// medium). It is 0 if something opaque lies between. `inside`: the media at the start of the segment.
     #[inline]
     pub fn visibility<const MEDIA: bool>(
         &mut self,
@@ -50,7 +50,7 @@ impl Shadow {
         }
     }
 
-    /// A shadow ray that passes clear surfaces and keeps track of the media behind them.
+    /// Traces a shadow ray through clear surfaces and keeps track of the media behind them.
     fn through<const MEDIA: bool>(
         &mut self,
         scene: &Prepared,
@@ -75,7 +75,7 @@ impl Shadow {
             }
             share *= self.attenuation::<MEDIA>(scene, &travelled, &inside);
             cross(&mut inside, material, back);
-            // Aimed anew: what is left of the length, rounded, may reach the light's own surface.
+            // The ray is recomputed toward the light: the remaining length, rounded, may reach the light's own surface.
             let from = (point.position, point.error, point.normal);
             ray = segment(from, (light.position, light.error, light.normal), ray.time);
             counters.shadow_rays += 1;

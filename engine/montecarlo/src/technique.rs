@@ -1,16 +1,16 @@
-//! How light is found, where there is more than one way.
+//! Techniques to find light, where there is more than one.
 
-/// A way to find the light of a source. All of them are joined by the power heuristic; each is complete alone, but for sources that
-/// it cannot find, so that any two can be held against each other.
+/// Technique to find the light of a source. All techniques are combined with the power heuristic. Each is complete alone, except
+/// for sources that it cannot find, so any two can be compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Technique {
-    /// A point on a source is drawn; in a medium with a distance by the light of that source that is scattered on the segment.
+    /// A point on a source is sampled; in a medium, together with a distance by the light of that source scattered on the segment.
     Light,
-    /// The source is met by chance, by scattering or by the camera's ray; points never.
+    /// Scattering or the camera's ray hits the source. It never finds point sources.
     Scatter,
 }
 
-/// Weight of a technique by the power heuristic, or of one alone.
+/// Returns the weight of a technique by the power heuristic, or of a single technique.
 /// - `others`: the squared densities of the other techniques, as multiples of its own.
 #[inline]
 pub(crate) fn weight(only: Option<Technique>, own: Technique, others: f32) -> f32 {

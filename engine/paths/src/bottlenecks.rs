@@ -1,31 +1,34 @@
-//! What makes an image noisy, and what makes its paths long, by object, material and interaction, and by lamp.
+//! Sources of noise and of long paths, by object, material and interaction, and by lamp.
 //!
-//! A part of a sample is laid to the vertex whose scattering made it: the one that a point on a lamp was drawn from, or the latest that
-//! the path had not gone straight through when it came to a lamp. So the parts of a sample add up to it.
+//! Each light contribution of a sample is attributed to the vertex that scattered it: the vertex from which the point on the lamp
+//! was sampled, or, if the path hit the lamp, the last vertex before it that the path did not go straight through. The
+//! contributions of a sample add up to the sample.
 //!
-//! The noise of a sample is the square of how much it is brighter than the mean of the other samples of its pixel. It is divided among the
-//! parts of the sample in proportion to their light. It is multiplied by the squared weight of the sample in its pixel and divided by the
-//! squared mean of its block of 16 x 16 pixels, as the relative error of a block is.
+//! The noise of a sample is the square of its excess over the mean of the other samples of its pixel. It is divided among the
+//! contributions of the sample in proportion to their light. It is multiplied by the squared weight of the sample in its pixel and
+//! divided by the squared mean of its block of 16 x 16 pixels, as in the relative error of a block.
 //!
-//! Samples are of two kinds ([`Weighed`]): the brightest of each portion, which are all known and count once, and others, which are known
-//! by the fair subset and count as many times as it is smaller. So a rare bright sample is neither missed nor counted for more than it is.
+//! There are two kinds of samples ([`Weighed`]). The brightest samples of each portion are all known and count once. The other
+//! samples are known through the fair subset, and each counts as the inverse of the subset's share. So a rare bright sample is
+//! neither missed nor counted more often than once.
 //!
-//! Long paths are told by the first intersection of a path, which all paths through a pixel of it share: what throughput is left when they
-//! come to intersection number [`DEEP`]. Where a path comes later says little: a longer one comes to more.
+//! Long paths are attributed to the first intersection of a path, which all paths through a pixel of that part share. The measure
+//! is the throughput that is left when they reach intersection number [`DEEP`]. Later intersections say little, because a longer
+//! path has more of them.
 
 use crate::pixels::Maps;
 use crate::record::{Found, Interaction, Intersection, Light, Name, Names, Path, PathKey, luminance};
 use crate::statistics::{DEEP, IMAGE_BITS, PortionKey, Statistics, brightness};
 use std::collections::BTreeMap;
 
-/// What light was scattered by.
+/// Part of the scene that scattered light.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Part {
-    /// The object; none: the camera, a medium, or something without a name.
+    /// Object. None for the camera, a medium, or an unnamed object.
     pub object: Name,
-    /// The material or the medium.
+    /// Material or medium.
     pub material: Name,
-    /// How the path went on, or how light came to it; `None`: any way, or the camera.
+    /// Interaction with which the path continued, or through which light arrived. `None`: any interaction, or the camera.
     pub interaction: Option<Interaction>,
 }
 
@@ -35,7 +38,7 @@ impl Part {
     }
 }
 
-/// What parts are told apart by.
+/// Criterion that distinguishes parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum By {
     /// Object, material and interaction.
@@ -56,34 +59,34 @@ impl By {
     }
 }
 
-/// What is known of a part.
+/// Statistics of a part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
     /// Intersections of recorded paths.
     pub records: u64,
-    /// Intersections of all samples, estimated.
+    /// Estimated number of intersections of all samples.
     pub intersections: f64,
-    /// Throughput that arrives at it at an intersection of number [`DEEP`] or later, of all samples, estimated.
+    /// Estimated throughput that arrives at the part at intersection number [`DEEP`] or later, summed over all samples.
     pub deep: f64,
-    /// Recorded paths whose first intersection it is; those that they go straight through are none.
+    /// Number of recorded paths whose first intersection is this part. Intersections that a path goes straight through are skipped.
     pub begun: u64,
-    /// Sum of their depths.
+    /// Sum of the depths of those paths.
     pub depths: u64,
-    /// Sum of the throughputs with which they come to intersection number [`DEEP`].
+    /// Sum of the throughputs with which those paths reach intersection number [`DEEP`].
     pub left: f64,
-    /// Light of the image that it has scattered last, cd/m2, summed over the pixels.
+    /// Light in the image whose last scattering is at this part, cd/m2, summed over the pixels.
     pub light: f64,
-    /// Noise of the image: relative variance of its blocks, summed over them.
+    /// Noise of the image: relative variance of its blocks, summed over the blocks.
     pub noise: f64,
 }
 
 impl Evidence {
-    /// Mean depth of the paths that begin there.
+    /// Returns the mean depth of the paths that begin at the part.
     pub fn depth(&self) -> f64 {
         self.depths as f64 / self.begun.max(1) as f64
     }
 
-    /// Mean throughput that is left to them at intersection number [`DEEP`].
+    /// Returns the mean throughput of these paths at intersection number [`DEEP`].
     pub fn left(&self) -> f64 {
         self.left / self.begun.max(1) as f64
     }
@@ -99,7 +102,7 @@ impl Evidence {
         self.noise += other.noise;
     }
 
-    /// What is not of this one.
+    /// Returns the totals of the paths that do not begin at the part `one`.
     #[must_use]
     fn without(&self, one: &Self) -> Self {
         Self {
@@ -111,73 +114,73 @@ impl Evidence {
     }
 }
 
-/// What is known of a lamp.
+/// Statistics of a lamp.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Lamp {
-    /// How often recorded paths have looked for it or met it.
+    /// Number of times that recorded paths sampled or hit the lamp.
     pub records: u64,
-    /// How often something was in between.
+    /// Number of times that the lamp was occluded.
     pub hidden: u64,
-    /// Light of the image that is from it, cd/m2, summed over the pixels.
+    /// Light of the lamp in the image, cd/m2, summed over the pixels.
     pub light: f64,
-    /// Noise that is from it.
+    /// Noise caused by the lamp.
     pub noise: f64,
 }
 
 /// A bright sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Firefly {
-    /// Which.
+    /// Key of the sample.
     pub key: PathKey,
-    /// cd/m2.
+    /// Luminance of the sample, cd/m2.
     pub luminance: f32,
-    /// Mean of the pixel's other samples, cd/m2.
+    /// Mean of the other samples of the pixel, cd/m2.
     pub others: f64,
-    /// Its part of the noise.
+    /// Contribution to the noise.
     pub noise: f64,
-    /// What has scattered most of it.
+    /// Part that scattered the largest contribution of the sample.
     pub part: Part,
-    /// The lamp of that.
+    /// Lamp of the largest contribution.
     pub lamp: Name,
-    /// How that was found.
+    /// Technique that found the largest contribution.
     pub found: Found,
 }
 
-/// All that is found of frames.
+/// Sources of noise and long paths in one or more frames.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bottlenecks {
-    /// Of all together.
+    /// Totals over all parts.
     pub total: Evidence,
-    /// By what parts are told apart by.
+    /// Statistics by part, as distinguished by [`By`].
     pub parts: BTreeMap<Part, Evidence>,
-    /// By lamp; none: a first pass.
+    /// Statistics by lamp. The empty name is the first pass.
     pub lamps: BTreeMap<Name, Lamp>,
-    /// Samples that add most to the noise, the most first, each with the number of its frame among those that were merged.
+    /// Samples that add most to the noise, in descending order. Each has the index of its frame among the merged frames.
     pub fireflies: Vec<(usize, Firefly)>,
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
-    /// Samples of all frames.
+    /// Number of samples of all frames.
     pub samples: u64,
-    /// Those of them whose paths are deep.
+    /// Number of those samples whose paths are deep.
     pub deep_samples: u64,
-    /// Names that all this has.
+    /// Names used here.
     pub names: Names,
 }
 
-/// A path, and the samples that it stands for.
+/// A path with the number of samples that it represents.
 #[derive(Clone, Copy, Debug)]
 pub struct Weighed<'a> {
     /// The path.
     pub path: &'a Path,
-    /// Samples.
+    /// Number of samples.
     pub weight: f64,
 }
 
-/// Paths that stand for all samples: all that are brighter than the least bright one that its portion keeps, and of the others those
-/// recorded by hash.
+/// Returns paths that represent all samples: all paths that are brighter than the dimmest of the brightest records of their
+/// portion, and, of the rest, the paths chosen by hash.
 pub fn weighed(all: &Statistics) -> Vec<Weighed<'_>> {
     let top = all.scope.top as usize;
-    // Of a portion that keeps fewer than it may, all samples are there.
+    // A portion that holds fewer bright records than it may holds all its samples there.
     let mut cuts: BTreeMap<PortionKey, (usize, f32)> = BTreeMap::new();
     for path in all.brightest.values() {
         if let Some(portion) = all.portion_of(path.key) {
@@ -201,12 +204,12 @@ pub fn weighed(all: &Statistics) -> Vec<Weighed<'_>> {
     bright.chain(others.map(|path| Weighed { path, weight })).collect()
 }
 
-/// What has scattered the light.
+/// Returns the part that scattered the light.
 pub fn scattered_by(path: &Path, light: &Light) -> Part {
     let volume = |material| Part { material, interaction: Some(Interaction::Volume), ..Part::default() };
     let vertices = &path.intersections[..path.intersections.len().min(light.vertex as usize)];
     let vertex = match light.found {
-        // Of the segment after the vertex.
+        // Airlight was scattered on the segment after the vertex.
         Found::Airlight => return volume(light.medium),
         Found::Glow => return volume(light.light),
         Found::Sight => None,
@@ -216,11 +219,11 @@ pub fn scattered_by(path: &Path, light: &Light) -> Part {
     vertex.map(Part::of).unwrap_or_default()
 }
 
-/// Bright samples that are kept.
+/// Maximum number of bright samples kept.
 const FIREFLIES: usize = 1000;
 
 impl Bottlenecks {
-    /// Of a frame.
+    /// Computes the statistics of a frame.
     pub fn of(all: &Statistics, by: By) -> Self {
         let maps = Maps::of(all);
         let mut found = Self { frames: 1, samples: all.samples(), names: all.names.clone(), ..Self::default() };
@@ -251,7 +254,7 @@ impl Bottlenecks {
         found
     }
 
-    /// What a recorded path says of intersections and lamps.
+    /// Adds the intersections and lamps of a recorded path.
     fn count(&mut self, path: &Path, weight: f64, by: By) {
         let greatest = |it: &Intersection| f64::from(it.throughput.into_iter().fold(0.0, f32::max));
         let mut add = |it: &Intersection, evidence: Evidence| {
@@ -273,7 +276,7 @@ impl Bottlenecks {
         }
     }
 
-    /// Adds what was found of other frames.
+    /// Adds the statistics of other frames.
     pub fn merge(&mut self, other: Self) {
         self.total.merge(&other.total);
         for (part, evidence) in &other.parts {
@@ -296,41 +299,42 @@ impl Bottlenecks {
         self.names.extend(other.names);
     }
 
-    /// The parts by what `of` says of them, the most first.
+    /// Returns the parts sorted by `of`, in descending order.
     pub fn ranked(&self, of: impl Fn(&Evidence) -> f64) -> Vec<(Part, Evidence)> {
         let mut all: Vec<(Part, Evidence)> = self.parts.iter().map(|(part, evidence)| (*part, *evidence)).collect();
         all.sort_by(|a, b| of(&b.1).total_cmp(&of(&a.1)).then(a.0.cmp(&b.0)));
         all
     }
 
-    /// The paths that do not begin at a part.
+    /// Returns the totals of the paths that do not begin at a part.
     #[must_use]
     pub fn others(&self, of: &Evidence) -> Evidence {
         self.total.without(of)
     }
 
-    /// How much of the spread of what is left to paths at intersection number [`DEEP`] is between those that begin at a part and the
-    /// others: p (1 - p) d^2, where p is the share of paths and d the difference of the means; 0 where less is left to those.
+    /// Returns the part of the variance of the throughput at intersection number [`DEEP`] that lies between the paths that begin at
+    /// a part and all other paths: p (1 - p) d^2, where p is the share of paths and d the difference of the means. It is 0 if the
+    /// paths of the part have less throughput left.
     pub fn lengthening(&self, of: &Evidence) -> f64 {
         let share = of.begun as f64 / self.total.begun.max(1) as f64;
         let more = (of.left() - self.others(of).left()).max(0.0);
         share * (1.0 - share) * more * more
     }
 
-    /// The text of a name, if it has one.
+    /// Returns the text of a name, if it has one.
     pub fn text(&self, name: Name) -> Option<&str> {
         self.names.get(&name).map(|(_, text)| text.as_str())
     }
 }
 
-/// Edge of a block, pixels: as the relative error has them.
+/// Edge of a block, pixels, as in the relative error.
 const BLOCK: u32 = 16;
 
-/// What noise is relative to.
+/// Blocks of the image that noise is relative to.
 struct Blocks {
     columns: u32,
     width: u32,
-    /// Sum of the luminances of the block's pixels, cd/m2, squared.
+    /// Square of the sum of the luminances of the block's pixels, (cd/m2)^2.
     squares: Vec<f64>,
 }
 
@@ -352,7 +356,7 @@ impl Blocks {
         (y * self.columns + x) as usize
     }
 
-    /// Part of a sample in the relative variance of its block.
+    /// Returns the contribution of a sample to the relative variance of its block.
     /// - `image`: weight of the sample in its pixel.
     fn noise(&self, maps: &Maps, path: &Path, image: f64) -> f64 {
         let own = path.luminance();
@@ -366,7 +370,7 @@ fn image_weight(all: &Statistics, path: &Path) -> f64 {
     all.image_weight(path.key) as f64 / (1u64 << IMAGE_BITS) as f64
 }
 
-/// The brightest samples, those that add most to the noise first.
+/// Returns the brightest samples, sorted by their noise in descending order.
 fn fireflies(all: &Statistics, maps: &Maps, blocks: &Blocks, by: By) -> Vec<Firefly> {
     let one = |path: &Path| {
         let others = maps.others(path.key.pixel, path.luminance())?;

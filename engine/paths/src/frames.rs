@@ -1,8 +1,9 @@
-//! Light statistics of several frames of a job, united.
+//! Union of the light statistics of several frames of a job.
 //!
-//! Frames are keyed by seed and number: one that is given twice counts once. All of them have one box and one threshold, so their records
-//! together are a fair subset of the samples of all frames, the least by hash, no more than one frame keeps. The union is associative,
-//! commutative and idempotent to the byte. Counters, pixels and sketches of a frame stay as they are.
+//! Frames are keyed by seed and number. A frame that is given twice counts once. All frames have one box and one threshold. So
+//! their records together are a fair subset of the samples of all frames: those with the least hashes, no more than one frame
+//! keeps. The union is associative, commutative and idempotent to the byte. Counters, pixels and sketches of a frame stay
+//! unchanged.
 //!
 //! As bytes, little-endian:
 //!
@@ -11,7 +12,7 @@
 //! | 8 | `FEMCFRAM` |
 //! | 4 | format version, 1 |
 //! | 4 | number of frames |
-//! | of each, in order | 8: number of bytes; the [bytes](crate::codec) of its statistics |
+//! | for each frame, in order | 8: number of bytes; the [bytes](crate::codec) of its statistics |
 
 use crate::codec::PathsError;
 use crate::statistics::{Statistics, UnionError};
@@ -28,14 +29,14 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Of these frames, or parts of frames.
+    /// Unites frames, or parts of frames.
     pub fn of(all: impl IntoIterator<Item = Statistics>) -> Result<Self, UnionError> {
         let mut frames = Self::default();
         frames.unite(all)?;
         Ok(frames)
     }
 
-    /// Adds frames, or parts of frames; of what is there already, one. An error changes nothing.
+    /// Adds frames, or parts of frames. Those that are present already count once. An error changes nothing.
     pub fn unite(&mut self, others: impl IntoIterator<Item = Statistics>) -> Result<(), UnionError> {
         let mut all = self.clone();
         for other in others {
@@ -57,7 +58,7 @@ impl Frames {
         });
         for it in self.by_key.values_mut().chain([&mut other]) {
             let (lower, upper) = all.unwrap_or((it.scope.lower, it.scope.upper));
-            // Counts by cell of one box cannot be told by cell of another box.
+            // Counts by cells of one box cannot be converted to cells of another box.
             if it.scope.is_full && (it.scope.lower, it.scope.upper) != (lower, upper) {
                 return Err(UnionError::Scope);
             }
@@ -72,7 +73,7 @@ impl Frames {
         }
     }
 
-    /// One threshold for all, below which there are no more records than one frame keeps.
+    /// Sets one threshold for all frames, so that at most as many records remain as one frame keeps.
     fn settle(&mut self) {
         let keep = self.frames().map(|it| it.scope.keep as usize).min().unwrap_or(0);
         let mut hashes: Vec<u64> = self.frames().flat_map(|it| it.paths.keys().map(|(hash, _)| *hash)).collect();
@@ -86,22 +87,22 @@ impl Frames {
         }
     }
 
-    /// The frames in order of seed and number.
+    /// Returns the frames in order of seed and number.
     pub fn frames(&self) -> impl Iterator<Item = &Statistics> + Clone {
         self.by_key.values()
     }
 
-    /// The same, to keep.
+    /// Returns the frames in order of seed and number, by value.
     pub fn into_frames(self) -> Vec<Statistics> {
         self.by_key.into_values().collect()
     }
 
-    /// Whether bytes begin as a file of united frames does.
+    /// Checks whether bytes begin with the magic number of united frames.
     pub fn is_meant(bytes: &[u8]) -> bool {
         bytes.starts_with(MAGIC)
     }
 
-    /// The frames as bytes.
+    /// Encodes the frames as bytes.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = [&MAGIC[..], &VERSION.to_le_bytes(), &(self.by_key.len() as u32).to_le_bytes()].concat();
         for it in self.frames() {
@@ -112,7 +113,7 @@ impl Frames {
         out
     }
 
-    /// The frames of bytes; damage of any kind is an error.
+    /// Decodes frames from bytes. Damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, PathsError> {
         let (front, mut rest) = bytes.split_first_chunk::<16>().ok_or(CUT)?;
         let [magic @ .., a, b, c, d, e, f, g, h] = *front;
@@ -136,7 +137,7 @@ impl Frames {
             }
             frames.by_key.insert(key, it);
         }
-        // United they are what they are.
+        // The union of already united frames changes nothing.
         let united = Self::of(frames.frames().cloned()).map_err(|_| PathsError::Corrupt("frames without a union"))?;
         let is_whole = rest.is_empty() && united == frames;
         if is_whole { Ok(frames) } else { Err(PathsError::Corrupt("frames that are not united")) }

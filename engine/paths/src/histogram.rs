@@ -1,12 +1,12 @@
-//! Histograms of records: of every attribute in 64 bins, and of every pair of attributes of one table in 64 x 64.
+//! Histograms of records: of each attribute in 64 bins, and of each pair of attributes of one table in 64 x 64 bins.
 //!
-//! They are exact over the samples that [`Statistics::threshold`] chose: integers, counted of the records that there are. Divided by
-//! [`Statistics::share`] they are estimates of what all samples have. If the [scope is full](crate::Scope::is_full), those of single
-//! attributes are there of all samples, too ([`Histograms::of_all`]). Each exists twice:
+//! They are exact over the samples that [`Statistics::threshold`] chose: integer counts of the records. Divided by
+//! [`Statistics::share`] they estimate the counts of all samples. If the [scope is full](crate::Scope::is_full), histograms of
+//! single attributes also exist for all samples ([`Histograms::of_all`]). Each histogram exists twice:
 //!
 //! - by samples: a record counts 1;
-//! - by image: it counts the part of the image that its sample is, in units of 2^-32 of a pixel
-//!   ([`Statistics::image_weight`]). Where tiles have different numbers of samples only this shows what one sees.
+//! - by image: a record counts the part of the image that its sample is, in units of 2^-32 of a pixel
+//!   ([`Statistics::image_weight`]). If tiles have different numbers of samples, only this one shows what is visible in the image.
 
 use crate::schema::{AXES, Attribute, FINE, INTERSECTION, LIGHT, PATH, intersection_bins, light_bins, path_bins};
 use crate::statistics::{Statistics, image_weight};
@@ -23,10 +23,10 @@ pub enum Table {
 }
 
 impl Table {
-    /// All.
+    /// All tables.
     pub const ALL: [Self; 3] = [Self::Paths, Self::Intersections, Self::Lights];
 
-    /// Its name.
+    /// Returns the name of the table.
     pub fn name(self) -> &'static str {
         match self {
             Self::Paths => "paths",
@@ -35,13 +35,13 @@ impl Table {
         }
     }
 
-    /// Names of each two of its attributes, in the order of [`Histograms::pairs`].
+    /// Returns the names of each pair of its attributes, in the order of [`Histograms::pairs`].
     pub fn pairs(self) -> impl Iterator<Item = [&'static str; 2]> + use<> {
         let attributes = self.attributes();
         (0..attributes.len()).flat_map(move |a| attributes[a + 1..].iter().map(move |b| [attributes[a].name, b.name]))
     }
 
-    /// Its attributes.
+    /// Returns the attributes of the table.
     pub fn attributes(self) -> &'static [Attribute] {
         match self {
             Self::Paths => &PATH,
@@ -54,7 +54,7 @@ impl Table {
 /// Counts in bins, by samples and by image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Counts {
-    /// Records.
+    /// Number of records.
     pub samples: Vec<u64>,
     /// Parts of the image, in units of 2^-32 of a pixel.
     pub image: Vec<u64>,
@@ -65,7 +65,7 @@ impl Counts {
         Self { samples: vec![0; bins], image: vec![0; bins] }
     }
 
-    /// Adds counts of other samples in the same bins.
+    /// Adds the counts of other samples in the same bins.
     pub fn merge(&mut self, other: &Self) {
         for (mine, theirs) in [(&mut self.samples, &other.samples), (&mut self.image, &other.image)] {
             mine.iter_mut().zip(theirs).for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
@@ -84,14 +84,14 @@ impl Counts {
 pub struct Histograms {
     /// The table.
     pub table: Table,
-    /// Of each attribute, in the order of the schema: 64 bins.
+    /// Counts of each attribute, in the order of the schema: 64 bins.
     pub attributes: Vec<Counts>,
-    /// Of each pair of attributes `(a, b)` with `a < b`, in order: 64 x 64 bins, that of `a` is the row.
+    /// Counts of each pair of attributes `(a, b)` with `a < b`, in order: 64 x 64 bins, with the bin of `a` as the row.
     pub pairs: Vec<Counts>,
 }
 
 impl Histograms {
-    /// Of the records of one table.
+    /// Computes the histograms of the records of one table.
     pub fn of(statistics: &Statistics, table: Table) -> Self {
         let axes = table.attributes().len();
         let attributes = vec![Counts::new(FINE); axes];
@@ -109,7 +109,8 @@ impl Histograms {
         all
     }
 
-    /// Of all samples, if the [scope is full](crate::Scope::is_full), else `None`: those of single attributes, in order.
+    /// Returns the histograms of single attributes over all samples, in order, or `None` if the [scope is not
+    /// full](crate::Scope::is_full).
     pub fn of_all(statistics: &Statistics, table: Table) -> Option<Vec<Counts>> {
         if !statistics.scope.is_full {
             return None;
@@ -145,7 +146,7 @@ impl Histograms {
         }
     }
 
-    /// The pairs of attributes, in the order of [`Self::pairs`].
+    /// Returns the names of the pairs of attributes, in the order of [`Self::pairs`].
     pub fn pair_names(&self) -> impl Iterator<Item = [&'static str; 2]> + use<> {
         self.table.pairs()
     }

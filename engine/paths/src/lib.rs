@@ -1,12 +1,12 @@
-//! Light statistics: records of paths, and what is known of all of them, merged exactly.
+//! Light statistics: records of paths, and counts over all samples, merged exactly.
 //!
-//! A renderer tells of samples; [`Statistics`] keeps integer counters of all of them and whole [`Path`]s of some: those whose hash of
-//! (seed, frame, pixel, sample) is least. Which samples these are depends on the set of all samples alone, so parts of a frame are
-//! united in any order and grouping, and a part that comes twice counts once. Everything else is a function of the records:
-//! [`histogram`]s, exact over the samples that the hash chose, a small [`representative`](represent) set for plots, the energy
-//! of the scene in an [`octree`]. The founding documents are \[simons2016\] and the thesis behind it.
+//! A renderer reports its samples. [`Statistics`] keeps integer counters of all samples and whole [`Path`]s of some: those whose
+//! hash of (seed, frame, pixel, sample) is least. Which samples these are depends only on the set of all samples. So parts of a
+//! frame are united in any order and grouping, and a part that arrives twice counts once. Everything else is a function of the
+//! records: [`histogram`]s, exact over the samples that the hash chose, a small [`representative`](represent) set for plots, and
+//! the energy of the scene in an [`octree`]. The founding documents are \[simons2016\] and the thesis on which it is based.
 //!
-//! Nothing here renders, reads files or knows of a farm.
+//! This crate does not render, does not read files and knows nothing about the farm.
 #![deny(missing_docs)]
 
 pub mod bottlenecks;

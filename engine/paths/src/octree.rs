@@ -1,8 +1,8 @@
-//! Where the energy of a scene is: a sparse octree over a box, after \[simons2016\].
+//! Distribution of the energy in a scene: a sparse octree over a box, after \[simons2016\].
 //!
-//! A voxel has the number of intersections in it and the sum of their energies, each the mean of the three channels, by bounce. Sums are
-//! integers, so trees of disjoint records are added in any order with the same result. Only leaves are stored; a voxel of a coarser
-//! level is the sum of its leaves.
+//! A voxel holds the number of its intersections and the sum of their energies by bounce. The energy of an intersection is the mean
+//! of the three channels. Sums are integers, so adding trees of disjoint records gives the same result in any order. Only leaves
+//! are stored. A voxel of a coarser level is the sum of its leaves.
 
 use crate::record::Path;
 use femc_stats::ExactSum;
@@ -11,29 +11,31 @@ use std::collections::BTreeMap;
 /// Sum of energies, cd/m2: quantum 2^-40, range 2^88.
 pub type EnergySum = ExactSum<40>;
 
-/// Most levels below the root.
+/// Maximum number of levels below the root.
 pub const MOST_LEVELS: u8 = 20;
 
-/// The box and the finest voxels of a tree. Trees of one root can be added and compared, so the variants of a sweep share one.
+/// The box and the finest voxels of a tree. Trees with equal roots can be added and compared, so the variants of a sweep share one
+/// root.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Root {
     /// Lower corner, world, m.
     pub lower: [f64; 3],
     /// Width of the cube, m; above 0.
     pub width: f64,
-    /// Halvings of the cube down to a leaf, at most [`MOST_LEVELS`].
+    /// Number of halvings from the cube to a leaf, at most [`MOST_LEVELS`].
     pub levels: u8,
 }
 
 impl Root {
-    /// The cube about a box that has its lower corner.
+    /// Creates the cube around a box, with the same lower corner.
     pub fn around(lower: [f64; 3], upper: [f64; 3], levels: u8) -> Self {
         let width = (0..3).map(|axis| upper[axis] - lower[axis]).fold(0.0, f64::max);
         let width = if width.is_finite() && width > 0.0 { width } else { 1.0 };
         Self { lower, width, levels: levels.min(MOST_LEVELS) }
     }
 
-    /// Code of the leaf that has a point: three bits a level, x the lowest, the coarsest level highest. `None`: it is outside.
+    /// Returns the code of the leaf that contains a point: three bits a level, x the lowest, the coarsest level highest. `None`:
+    /// the point is outside.
     pub fn code(&self, position: [f64; 3]) -> Option<u64> {
         let leaves = (1u64 << self.levels) as f64;
         let mut code = 0;
@@ -49,14 +51,14 @@ impl Root {
         Some(code)
     }
 
-    /// Lower corner and width of a voxel of a level, m.
+    /// Returns the lower corner and the width of a voxel of a level, m.
     pub fn voxel(&self, level: u8, code: u64) -> ([f64; 3], f64) {
         let width = self.width / (1u64 << level.min(MOST_LEVELS)) as f64;
         (std::array::from_fn(|axis| self.lower[axis] + width * gather(code >> axis) as f64), width)
     }
 }
 
-/// Puts each bit of a number of 20 at every third place.
+/// Spreads the bits of a number of 20 bits to every third position.
 fn spread(x: u64) -> u64 {
     (0..u32::from(MOST_LEVELS)).fold(0, |code, bit| code | (x >> bit & 1) << (3 * bit))
 }
@@ -65,17 +67,17 @@ fn gather(code: u64) -> u64 {
     (0..u32::from(MOST_LEVELS)).fold(0, |x, bit| x | (code >> (3 * bit) & 1) << bit)
 }
 
-/// What a voxel has.
+/// Contents of a voxel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Voxel {
-    /// Intersections.
+    /// Number of intersections.
     pub count: u64,
     /// Sum of their energies.
     pub energy: EnergySum,
 }
 
 impl Voxel {
-    /// Mean energy of its intersections, cd/m2.
+    /// Returns the mean energy of its intersections, cd/m2.
     pub fn mean(self) -> f64 {
         if self.count == 0 { 0.0 } else { self.energy.value() / self.count as f64 }
     }
@@ -86,29 +88,29 @@ impl Voxel {
     }
 }
 
-/// Trees of different roots were to be joined.
+/// Error: trees with different roots cannot be combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("octrees of different roots")]
 pub struct RootMismatch;
 
-/// The energy of intersections by bounce and place.
+/// Energy of intersections by bounce and position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Octree {
-    /// Its box.
+    /// Box of the tree.
     pub root: Root,
     /// Leaves by bounce and code.
     pub leaves: BTreeMap<(u32, u64), Voxel>,
-    /// Intersections that are outside.
+    /// Number of intersections outside the box.
     pub outside: u64,
 }
 
 impl Octree {
-    /// Of no intersections.
+    /// Creates a tree without intersections.
     pub fn new(root: Root) -> Self {
         Self { root, leaves: BTreeMap::new(), outside: 0 }
     }
 
-    /// Of the intersections of paths.
+    /// Creates a tree of the intersections of paths.
     pub fn of<'a>(root: Root, paths: impl IntoIterator<Item = &'a Path>) -> Self {
         let mut tree = Self::new(root);
         paths.into_iter().for_each(|path| tree.add(path));
@@ -139,7 +141,7 @@ impl Octree {
         Ok(())
     }
 
-    /// The voxels of a level, 0: the root, of all bounces together or of one.
+    /// Returns the voxels of a level, for one bounce or for all bounces together. Level 0 is the root.
     pub fn level(&self, level: u8, bounce: Option<u32>) -> BTreeMap<u64, Voxel> {
         let shift = 3 * u32::from(self.root.levels.saturating_sub(level));
         let mut voxels = BTreeMap::<u64, Voxel>::new();
@@ -151,7 +153,8 @@ impl Octree {
         voxels
     }
 
-    /// Mean energy of each voxel of a level in this tree minus that in another tree, cd/m2. Where a tree has no such voxel, its mean is 0.
+    /// Returns the mean energy of each voxel of a level in this tree minus the mean in another tree, cd/m2. If a tree lacks a
+    /// voxel, its mean there is 0.
     pub fn difference(&self, other: &Self, level: u8, bounce: Option<u32>) -> Result<BTreeMap<u64, f64>, RootMismatch> {
         if self.root != other.root {
             return Err(RootMismatch);

@@ -1,8 +1,7 @@
-//! What is known of each pixel: how bright its samples are and how much they differ, how long their paths are, and what is left of
-//! them at their end.
+//! Sums by pixel: luminance and its variance, length of the paths, and throughput at their ends.
 //!
-//! Sums over all samples of a pixel of one half, in integers, so that they are the same in any order. A term is rounded once, to the
-//! nearest unit, halves to even ones:
+//! The sums cover all samples of one half of a pixel. They are integers, so the result does not depend on the order. A term is
+//! rounded once, to the nearest unit, ties to even:
 //!
 //! | sum | unit | largest term |
 //! | --- | --- | --- |
@@ -11,7 +10,7 @@
 //! | throughput at the path's end, of its greatest channel | 2^-12 | 2^8 |
 //! | depth | 1 | |
 //!
-//! Sums that would be larger than their numbers stay at the greatest one.
+//! Sums saturate at the largest value of their type.
 
 use crate::statistics::{PortionKey, Statistics};
 
@@ -27,28 +26,29 @@ const MOST_THROUGHPUT: f32 = (1u64 << 8) as f32;
 /// Sums of some samples of one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PixelSums {
-    /// Samples, without bad ones.
+    /// Number of samples, without bad ones.
     pub samples: u32,
-    /// Intersections of their paths.
+    /// Number of intersections of their paths.
     pub depth: u32,
-    /// Throughputs at the paths' ends, 2^-12.
+    /// Sum of the throughputs at the paths' ends, 2^-12.
     pub throughput: u32,
-    /// Luminances, 2^-16 cd/m2.
+    /// Sum of the luminances, 2^-16 cd/m2.
     pub luminance: u64,
-    /// Squares of these, 2^-32 cd2/m4, the lower half first: the number needs no room to be aligned.
+    /// Sum of the squared luminances, 2^-32 cd2/m4, the lower half first. Two words instead of a `u128` avoid padding for
+    /// alignment.
     squares: [u64; 2],
 }
 
-/// Words of 4 bytes of the sums.
+/// Number of 4-byte words of the sums.
 pub(crate) const WORDS: usize = 9;
 
 impl PixelSums {
     /// Counts a sample.
     /// - `luminance`: cd/m2, finite, not negative;
-    /// - `throughput`: of the path's end, not negative.
+    /// - `throughput`: at the path's end, not negative.
     #[inline]
     pub fn count(&mut self, luminance: f32, throughput: f32, depth: u32) {
-        // In a double of the size of this bias the lowest bit of the mantissa is 1.
+        // In a double near this bias, the lowest bit of the mantissa is worth 1.
         const BIAS: f64 = (1u64 << 52) as f64;
         let units = |value: f32, bits: i32, most: f32| {
             (f64::from(value.clamp(0.0, most)) * f64::from(1u32 << bits) + BIAS).to_bits() - BIAS.to_bits()
@@ -79,15 +79,15 @@ impl PixelSums {
         self.squares = [squares as u64, (squares >> 64) as u64];
     }
 
-    /// Mean of something of the samples.
+    /// Returns the mean over the samples.
     fn mean(&self, sum: f64) -> f64 {
         sum / f64::from(self.samples)
     }
 
-    /// Sum of the squares of the differences from the mean, (cd/m2)^2: exact but for the last division.
+    /// Returns the sum of the squared differences from the mean, (cd/m2)^2. It is exact except for the last division.
     fn deviation(&self) -> f64 {
         let (n, sum) = (u128::from(self.samples), u128::from(self.luminance));
-        // (n Q - S^2) / n; what has no room is at the greatest number, and so is its difference.
+        // (n Q - S^2) / n. A value that overflows saturates, and so does the difference.
         let spread = self.squares().saturating_mul(n).saturating_sub(sum.saturating_mul(sum));
         spread as f64 / n.max(1) as f64 / (1u64 << (2 * LUMINANCE_BITS)) as f64
     }
@@ -108,15 +108,15 @@ impl PixelSums {
 /// A pixel of the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pixel {
-    /// Samples that count, without bad ones.
+    /// Number of samples that count, without bad ones.
     pub samples: u64,
-    /// Mean luminance, cd/m2, as the image has it: of the means of both halves.
+    /// Mean luminance, cd/m2, as in the image: from the means of both halves.
     pub luminance: f64,
-    /// Variance of the luminance of a sample, (cd/m2)^2, about the mean of its half; 0 where no half has two samples.
+    /// Variance of the luminance of a sample, (cd/m2)^2, about the mean of its half. It is 0 if no half has two samples.
     pub variance: f64,
     /// Mean depth of the samples' paths.
     pub depth: f64,
-    /// Mean throughput at their ends.
+    /// Mean throughput at the ends of the paths.
     pub throughput: f64,
 }
 
@@ -127,7 +127,7 @@ impl Pixel {
             halves.iter().map(|half| half.mean(sum(half))).sum::<f64>() / halves.len().max(1) as f64
         };
         let samples: u64 = halves.iter().map(|half| u64::from(half.samples)).sum();
-        // As many numbers as can differ.
+        // Degrees of freedom.
         let free = samples - halves.len() as u64;
         let deviation: f64 = halves.iter().map(PixelSums::deviation).sum();
         Self {
@@ -145,12 +145,12 @@ impl Pixel {
 pub struct Maps {
     /// Width and height, pixels.
     pub film: [u32; 2],
-    /// Of each half, row by row.
+    /// Sums of each half, row by row.
     sums: Vec<[PixelSums; 2]>,
 }
 
 impl Maps {
-    /// Of statistics, best of those that [count](Statistics::counted).
+    /// Computes the pixels of statistics, preferably of those that [count](Statistics::counted).
     pub fn of(statistics: &Statistics) -> Self {
         let scope = &statistics.scope;
         let mut sums = vec![[PixelSums::default(); 2]; scope.pixels() as usize];
@@ -162,14 +162,14 @@ impl Maps {
         Self { film: scope.film, sums }
     }
 
-    /// The pixels, row by row; those without samples are 0.
+    /// Returns the pixels, row by row. Pixels without samples are 0.
     pub fn pixels(&self) -> impl ExactSizeIterator<Item = Pixel> + '_ {
         self.sums.iter().map(|sums| Pixel::of(*sums))
     }
 
-    /// Mean luminance of a pixel's samples but one, cd/m2: it knows nothing of that one. `None`: there is no other.
-    /// - `pixel`: its row-major index;
-    /// - `luminance`: of the one, cd/m2.
+    /// Returns the mean luminance of all samples of a pixel except one, cd/m2. `None`: the pixel has no other sample.
+    /// - `pixel`: row-major index of the pixel;
+    /// - `luminance`: luminance of the excluded sample, cd/m2.
     pub fn others(&self, pixel: u32, luminance: f32) -> Option<f64> {
         let [a, b] = self.sums.get(pixel as usize)?;
         let samples = u64::from(a.samples) + u64::from(b.samples);
@@ -179,7 +179,7 @@ impl Maps {
     }
 }
 
-/// Whether a portion has just the pixels of its tile, and no more samples of each than it says.
+/// Checks that a portion has exactly the pixels of its tile, and no more samples of each than its key says.
 pub(crate) fn are_sound(key: PortionKey, area: u64, good: u64, pixels: &[PixelSums]) -> bool {
     pixels.len() as u64 == area
         && pixels.iter().all(|pixel| pixel.samples <= key.samples())

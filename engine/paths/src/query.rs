@@ -1,6 +1,7 @@
-//! Questions about paths: which have been where, and what was there.
+//! Queries for paths, by the places that they visited and the light found there.
 //!
-//! A [`Condition`] is asked of each intersection of a path, and of a path that has none once, without an intersection:
+//! A [`Condition`] is evaluated at each intersection of a path. For a path without intersections, it is evaluated once without an
+//! intersection:
 //!
 //! ```text
 //! radiance.g > 2 and bounce == 2 and (interaction == reflection or object == room.mirror)
@@ -11,46 +12,47 @@
 //! | `bounce`, `position.x` `.y` `.z`, `radiance.r` `.g` `.b`, `throughput.r` `.g` `.b` | the intersection | number |
 //! | `object`, `material` | the intersection | name |
 //! | `interaction` | the intersection | a word of [`Interaction`] |
-//! | `light`, `occluder` | any light that was looked for there | name |
+//! | `light`, `occluder` | any light sampled there | name |
 //! | `light.radiance.r` `.g` `.b` | any of them | number |
 //! | `found` | any of them | a word of [`Found`] |
 //! | `path.radiance.r` `.g` `.b`, `path.throughput.r` `.g` `.b`, `depth`, `pixel.x`, `pixel.y`, `sample` | the path | number |
 //! | `end` | the path | a word of [`End`] |
 //!
-//! Numbers are compared by `==`, `!=`, `<`, `<=`, `>`, `>=`, words by the first two. A name is that of a thing or of anything in it: `room` is
-//! `room.wall`, too. What is not there equals nothing: `occluder != door` holds where nothing is in the way, `occluder == door` does not.
+//! Numbers are compared with `==`, `!=`, `<`, `<=`, `>`, `>=`, words with the first two. A name matches an object and everything in
+//! it: `room` matches `room.wall`, too. A missing value equals nothing: `occluder != door` holds if nothing is in the way,
+//! `occluder == door` does not.
 
 use crate::record::{End, Found, Interaction, Intersection, Light, Name, Names, Path};
 use crate::statistics::Scope;
 use std::collections::BTreeSet;
 
-/// A question about paths.
+/// A query for paths.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Query {
-    /// What an intersection must be like; `None`: any, or none at all.
+    /// Condition on an intersection. `None` accepts any path, even one without intersections.
     pub condition: Option<Condition>,
-    /// Objects that the path must have come to, one after the other: the first anywhere, each other at any later intersection.
+    /// Objects that the path must visit in this order: the first at any intersection, each of the others at any later one.
     pub objects: Vec<String>,
-    /// Corners of a box of the world, m, that the intersection must be in.
+    /// Corners of a box, world, m, that must contain the intersection.
     pub within: Option<[[f64; 3]; 2]>,
 }
 
 /// A condition.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Condition {
-    /// Both hold.
+    /// Both conditions hold.
     And(Box<Self>, Box<Self>),
-    /// One holds, or both.
+    /// At least one of the conditions holds.
     Or(Box<Self>, Box<Self>),
-    /// It does not hold.
+    /// The condition does not hold.
     Not(Box<Self>),
-    /// A number is compared.
+    /// Comparison of a number.
     Number(Number, Order, f64),
-    /// A word or a name is, or is not, this one.
+    /// Comparison of a word or a name.
     Word(Word, Equality, String),
 }
 
-/// How numbers are compared.
+/// Comparison operator of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
     /// `==`
@@ -80,7 +82,7 @@ impl Order {
     }
 }
 
-/// How words are compared.
+/// Comparison operator of words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Equality {
     /// `==`
@@ -94,21 +96,21 @@ pub enum Equality {
 pub enum Number {
     /// `bounce`
     Bounce,
-    /// `position`, of an axis
+    /// `position`, by axis
     Position(usize),
-    /// `radiance`, of a channel
+    /// `radiance`, by channel
     Radiance(usize),
-    /// `throughput`, of a channel
+    /// `throughput`, by channel
     Throughput(usize),
-    /// `light.radiance`, of a channel
+    /// `light.radiance`, by channel
     LightRadiance(usize),
-    /// `path.radiance`, of a channel
+    /// `path.radiance`, by channel
     PathRadiance(usize),
-    /// `path.throughput`, of a channel
+    /// `path.throughput`, by channel
     PathThroughput(usize),
     /// `depth`
     Depth,
-    /// `pixel`, of an axis
+    /// `pixel`, by axis
     Pixel(usize),
     /// `sample`
     Sample,
@@ -133,48 +135,48 @@ pub enum Word {
     End,
 }
 
-/// Why a text is no condition.
+/// Reason why a text is not a valid condition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum QueryError {
-    /// Something else was expected.
+    /// Unexpected text.
     #[error("column {column}: {found:?} where {expected} is expected")]
     Expected {
-        /// Place in the text, from 1.
+        /// Column in the text, from 1.
         column: usize,
-        /// What is there; empty: the end.
+        /// Text found there; empty at the end of the text.
         found: String,
-        /// What may be there.
+        /// Text expected there.
         expected: &'static str,
     },
-    /// There is no such name.
+    /// Unknown name.
     #[error("column {column}: there is no {name:?}; known are {}", KNOWN.join(", "))]
     Name {
-        /// Place in the text, from 1.
+        /// Column in the text, from 1.
         column: usize,
         /// The name.
         name: String,
     },
-    /// There is no such word.
+    /// Unknown word.
     #[error("column {column}: {name} is never {word:?}; it is one of {}", .words.join(", "))]
     NoWord {
-        /// Place in the text, from 1.
+        /// Column in the text, from 1.
         column: usize,
-        /// What is compared.
+        /// Name that is compared.
         name: String,
         /// The word.
         word: String,
-        /// Those that there are.
+        /// Words that are known.
         words: Vec<&'static str>,
     },
     /// Conditions are nested too deep.
     #[error("more than {MOST_DEPTH} conditions within each other")]
     TooDeep,
-    /// It is too long.
+    /// The condition is too long.
     #[error("more than {MOST_TOKENS} words and signs")]
     TooLong,
 }
 
-/// Names in conditions, for people.
+/// Names in conditions, for error messages.
 const KNOWN: [&str; 17] = [
     "bounce",
     "position.x",
@@ -195,9 +197,9 @@ const KNOWN: [&str; 17] = [
     "end",
 ];
 
-/// Most conditions within each other.
+/// Maximum nesting depth of conditions.
 const MOST_DEPTH: usize = 64;
-/// Most words and signs of a condition.
+/// Maximum number of words and signs of a condition.
 const MOST_TOKENS: usize = 2048;
 
 enum Field {
@@ -237,7 +239,7 @@ fn field(name: &str) -> Option<Field> {
     number.map(Field::Number).or(word.map(Field::Word))
 }
 
-/// The words that there are; of names there are any.
+/// Returns the known words. It is empty for names, which may be anything.
 fn words(word: Word) -> Vec<&'static str> {
     match word {
         Word::Object | Word::Material | Word::Light | Word::Occluder => Vec::new(),
@@ -248,7 +250,7 @@ fn words(word: Word) -> Vec<&'static str> {
 }
 
 impl Condition {
-    /// Of a text.
+    /// Parses a condition.
     pub fn parse(text: &str) -> Result<Self, QueryError> {
         let mut parser = Parser { tokens: tokens(text)?, at: 0, depth: 0 };
         let condition = parser.any()?;
@@ -270,7 +272,7 @@ impl Condition {
     }
 }
 
-/// A piece of a condition, and its place.
+/// A token of a condition, with its column.
 type Token = (usize, String);
 
 fn tokens(text: &str) -> Result<Vec<Token>, QueryError> {
@@ -415,12 +417,12 @@ impl Parser {
     }
 }
 
-/// An intersection of a path, or the path alone.
+/// An intersection of a path, or only the path.
 struct At<'a> {
     scope: &'a Scope,
     names: &'a Names,
     path: &'a Path,
-    /// Its place among the path's.
+    /// Index of the intersection in the path.
     place: Option<usize>,
 }
 
@@ -466,7 +468,7 @@ impl At<'_> {
     }
 }
 
-/// Whether a name is this one, or of something in it.
+/// Checks whether a name is `value` or lies in `value`.
 pub fn is_in(names: &Names, name: Name, value: &str) -> bool {
     is_named(names, name, value)
 }
@@ -477,8 +479,8 @@ fn is_named(names: &Names, name: Name, value: &str) -> bool {
 }
 
 impl Query {
-    /// The places of the intersections of a path that are asked for; `None`: the path is not. A path without intersections may be
-    /// asked for, with no place.
+    /// Returns the indices of the intersections of a path that match, or `None` if the path does not match. A path without
+    /// intersections can match with an empty set.
     pub fn matches(&self, scope: &Scope, names: &Names, path: &Path) -> Option<BTreeSet<usize>> {
         let mut later = path.intersections.iter();
         for object in &self.objects {
@@ -502,7 +504,7 @@ impl Query {
     }
 }
 
-/// Whether a name is known: that of a thing, or what things are in.
+/// Checks whether a name is known, as the name of an object or of a parent of objects.
 pub fn is_known(names: &Names, value: &str) -> bool {
     names.keys().any(|name| is_named(names, *name, value))
 }

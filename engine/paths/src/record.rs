@@ -1,4 +1,4 @@
-//! Records of light: a path, its intersections, and what lights have brought it.
+//! Records of light: a path, its intersections, and its light contributions.
 
 use femc_math::hash::{Begun, begun};
 use std::collections::{BTreeMap, HashMap};
@@ -6,7 +6,7 @@ use std::hash::{BuildHasherDefault, Hasher};
 
 /// A camera sample of a frame of a known seed.
 ///
-/// The order of keys is that of frame, pixel and sample; records are ordered by their hash first.
+/// Keys are ordered by frame, pixel and sample. Records are ordered by their hash first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PathKey {
     /// Number of the frame.
@@ -17,37 +17,37 @@ pub struct PathKey {
     pub sample: u32,
 }
 
-/// Keeps the hash that chooses records apart from the sampler's hashes of the same words.
+/// Salt of the hash that chooses records. It separates this hash from the sampler's hashes of the same words.
 const SALT: u64 = 0x7061_7468_2073_6574;
 
 impl PathKey {
-    /// What chooses samples: the subset of hashes below `p` 2^64 has a share `p` of all samples, whatever their pixels and numbers
-    /// (test `the_subset_is_fair`). Never `u64::MAX`.
+    /// Returns the hash that chooses samples. The subset of samples with hashes below `p` 2^64 has a share `p` of all samples,
+    /// whatever their pixels and numbers (test `the_subset_is_fair`). It is never `u64::MAX`.
     #[inline]
     pub fn hash(self, seed: u64) -> u64 {
         self.hash_in_pixel(self.pixel_hash(seed))
     }
 
-    /// What the hashes of all samples of a pixel begin with.
+    /// Returns the common prefix state of the hashes of all samples of a pixel.
     #[inline]
     pub fn pixel_hash(self, seed: u64) -> Begun {
         begun(&[SALT, seed, u64::from(self.frame) << 32 | u64::from(self.pixel)])
     }
 
-    /// [`Self::hash`], of what [`Self::pixel_hash`] gives for its pixel.
+    /// Returns [`Self::hash`], computed from the value of [`Self::pixel_hash`] for its pixel.
     #[inline]
     pub fn hash_in_pixel(self, pixel: Begun) -> u64 {
         pixel.end(&[u64::from(self.sample)]).min(u64::MAX - 1)
     }
 
-    /// The half that the sample belongs to: A (0) has the even numbers, B (1) the odd ones.
+    /// Returns the half that the sample belongs to: A (0) has the even numbers, B (1) the odd ones.
     #[inline]
     pub fn half(self) -> u8 {
         (self.sample % 2) as u8
     }
 }
 
-/// What a name is of.
+/// Kind of a named thing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
     /// An object of the scene, by its dotted name.
@@ -56,28 +56,28 @@ pub enum Kind {
     Material,
     /// A medium.
     Medium,
-    /// A lamp: what emits, and the object that holds it.
+    /// A lamp: an emitter and the object that holds it.
     Lamp,
 }
 
 impl Kind {
-    /// All, in the order of their numbers.
+    /// All kinds, in the order of their numbers.
     pub const ALL: [Self; 4] = [Self::Object, Self::Material, Self::Medium, Self::Lamp];
 }
 
 /// A kind and a text.
 pub type Named = (Kind, String);
 
-/// A stable key of an object, a material, a medium or a lamp: a hash of its kind and name, so that it is the same in all frames, jobs
-/// and variants that have it. Which name it is, [`Statistics::names`](crate::Statistics::names) says.
+/// A stable key of an object, a material, a medium or a lamp. It is a hash of the kind and the name, so it is the same in all
+/// frames, jobs and variants. [`Statistics::names`](crate::Statistics::names) has the texts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name(pub u64);
 
 impl Name {
-    /// No object holds it, or it is not known.
+    /// No object, or an unknown one.
     pub const NONE: Self = Self(0);
 
-    /// Of a kind and a text; of an empty text none.
+    /// Creates the name of a kind and a text. An empty text gives [`Self::NONE`].
     pub fn of(kind: Kind, text: &str) -> Self {
         if text.is_empty() {
             return Self::NONE;
@@ -92,10 +92,10 @@ impl Name {
 /// The texts of names.
 pub type Names = BTreeMap<Name, Named>;
 
-/// Something of each name; their order says nothing.
+/// Map from names. Its iteration order has no meaning.
 pub(crate) type ByName<T> = HashMap<Name, T, BuildHasherDefault<KeyHasher>>;
 
-/// A name is a hash already.
+/// Hasher that passes names through, since they are hashes already.
 #[derive(Default)]
 pub(crate) struct KeyHasher(u64);
 
@@ -120,10 +120,10 @@ macro_rules! numbered {
         pub enum $type { $($(#[$about])* $variant),+ }
 
         impl $type {
-            /// All, in the order of their numbers in files.
+            /// All variants, in the order of their numbers in files.
             pub const ALL: &[Self] = &[$(Self::$variant),+];
 
-            /// The word for it in tables and conditions.
+            /// Returns the word for it in tables and conditions.
             pub fn word(self) -> &'static str {
                 match self { $(Self::$variant => $word),+ }
             }
@@ -132,34 +132,34 @@ macro_rules! numbered {
 }
 
 numbered! {
-    /// Why a path ended.
+    /// Reason why a path ended.
     End:
-    /// It left the scene.
+    /// The path left the scene.
     Escaped = "escaped",
-    /// Nothing was scattered, or what was had no way to go.
+    /// Nothing was scattered, or the scattered direction was not possible.
     Absorbed = "absorbed",
     /// Russian roulette.
     Roulette = "roulette",
-    /// It had as many segments as the settings allow.
+    /// The path reached the maximum number of segments.
     Depth = "depth",
-    /// The light of a first pass was taken where it was scattered.
+    /// The path ended with the light of a first pass.
     Field = "field",
 }
 
 numbered! {
-    /// How a path went on from an intersection.
+    /// Interaction with which a path continued from an intersection.
     Interaction:
-    /// It ended there.
+    /// The path ended there.
     Absorbed = "absorbed",
-    /// It ended at something that emits.
+    /// The path ended at an emitter.
     Emission = "emission",
-    /// Scattered in all directions, reflected or transmitted.
+    /// Scattered diffusely in all directions, by reflection or transmission.
     Diffuse = "diffuse",
-    /// Scattered by a rough surface about a direction.
+    /// Scattered by a rough surface around a direction.
     Glossy = "glossy",
-    /// Reflected in the only direction.
+    /// Specular reflection.
     Reflection = "reflection",
-    /// Refracted in the only direction.
+    /// Specular refraction.
     Refraction = "refraction",
     /// Straight through a clear surface.
     Straight = "straight",
@@ -168,17 +168,17 @@ numbered! {
 }
 
 numbered! {
-    /// How light was found.
+    /// Technique that found light.
     Found:
-    /// A point on a lamp was drawn from the camera.
+    /// A point on a lamp was sampled from the camera.
     Sight = "sight",
-    /// The path has met a lamp.
+    /// The path hit a lamp.
     Met = "met",
-    /// A point on a lamp was drawn from a surface.
+    /// A point on a lamp was sampled from a surface.
     Surface = "surface",
-    /// A lamp, and a distance by what a medium scatters of its light.
+    /// A lamp was sampled, with a distance by its light that a medium scatters.
     Airlight = "airlight",
-    /// A medium glows.
+    /// A medium emits light.
     Glow = "glow",
     /// The light of a first pass.
     Field = "field",
@@ -187,73 +187,74 @@ numbered! {
 /// One sample of a pixel: a light path from the camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
-    /// Which sample.
+    /// Key of the sample.
     pub key: PathKey,
-    /// What the sample adds to its pixel, cd/m2 by channel; finite, not negative.
+    /// Contribution of the sample to its pixel, cd/m2 by channel; finite, not negative.
     pub radiance: [f32; 3],
-    /// Factor of the path at its end, 0 where it has lost everything; finite, not negative.
+    /// Throughput of the path at its end, 0 if nothing is left; finite, not negative.
     pub throughput: [f32; 3],
-    /// Number of its intersections, those past [`MOST_INTERSECTIONS`] among them.
+    /// Number of its intersections, including those past [`MOST_INTERSECTIONS`].
     pub depth: u32,
-    /// Why it ended.
+    /// Reason why the path ended.
     pub end: End,
-    /// The first of its intersections, in order from the camera.
+    /// First intersections of the path, in order from the camera.
     pub intersections: Vec<Intersection>,
-    /// The first of its lights, in the order in which they were found.
+    /// First light contributions of the path, in the order in which they were found.
     pub lights: Vec<Light>,
 }
 
-/// Intersections that a record keeps of a path.
+/// Maximum number of intersections in a record.
 pub const MOST_INTERSECTIONS: usize = 255;
-/// Lights that a record keeps of a path.
+/// Maximum number of lights in a record.
 pub const MOST_LIGHTS: usize = 1023;
 
 /// A vertex of a path: a surface or a point in a medium.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intersection {
-    /// Segment of the path that ends there, 0: the camera's. It is the same for surfaces that the segment goes straight through.
+    /// Index of the path segment that ends there, 0: the camera's. Surfaces that a segment goes straight through share its index.
     pub bounce: u32,
-    /// Where, world, m; finite.
+    /// Position, world, m; finite.
     pub position: [f64; 3],
-    /// Light that goes from there along the path, by what the path has found there and after it, cd/m2: its part of the sample without
-    /// the factor on arrival. Finite, not negative.
+    /// Radiance that leaves the intersection along the path, by the light that the path found there and later, cd/m2. This is its
+    /// part of the sample without the throughput on arrival. Finite, not negative.
     pub radiance: [f32; 3],
-    /// Factor of the path on arrival; finite, not negative.
+    /// Throughput of the path on arrival; finite, not negative.
     pub throughput: [f32; 3],
-    /// The innermost object; in a medium none.
+    /// Innermost object. None in a medium.
     pub object: Name,
-    /// The material, or the medium.
+    /// Material or medium.
     pub material: Name,
-    /// How the path went on.
+    /// Interaction with which the path continued.
     pub interaction: Interaction,
 }
 
-/// Light that a path has looked for at one of its vertices.
+/// A light contribution at a vertex of a path, possibly occluded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
-    /// Number of the path's intersections until then; 0: the camera's own.
+    /// Number of the path's intersections up to then; 0: at the camera.
     pub vertex: u32,
-    /// The lamp; of a glowing medium the medium; none: the light of a first pass.
+    /// Lamp, or the medium that emits. None for the light of a first pass.
     pub light: Name,
-    /// The medium that has scattered the lamp's light into the segment ([`Found::Airlight`]); else none.
+    /// Medium that scattered the lamp's light into the segment ([`Found::Airlight`]), else none.
     pub medium: Name,
-    /// What it adds to the sample, cd/m2: 0 where something is in between. Finite, not negative.
+    /// Contribution to the sample, cd/m2: 0 if the lamp is occluded. Finite, not negative.
     pub radiance: [f32; 3],
-    /// The nearest object that hides the lamp from the vertex, or from the point in the medium.
+    /// Nearest object that hides the lamp from the vertex, or from the point in the medium.
     pub occluder: Option<Name>,
-    /// How it was found.
+    /// Technique that found the light.
     pub found: Found,
 }
 
 impl Path {
-    /// Luminance of the sample, cd/m2.
+    /// Returns the luminance of the sample, cd/m2.
     pub fn luminance(&self) -> f32 {
         luminance(self.radiance)
     }
 
-    /// Light that goes from each intersection along the path, cd/m2: the record's lights from there on, the latest first, without the
-    /// factor on arrival; 0 where that is 0.
-    /// - `emits`: whether an intersection is itself what the latest lamp was that the path met before it counted as one.
+    /// Returns the radiance that leaves each intersection along the path, cd/m2: the sum of the record's lights from there on, last
+    /// ones first, divided by the throughput on arrival. It is 0 where the throughput is 0.
+    /// - `emits`: whether the last lamp hit before an intersection was counted lies at that intersection itself, so that its light
+    ///   is included.
     pub fn sent(&self, emits: impl Fn(usize) -> bool) -> Vec<[f32; 3]> {
         let (mut sum, mut earlier) = ([0f32; 3], &self.lights[..]);
         let mut sent = vec![[0f32; 3]; self.intersections.len()];
@@ -275,7 +276,7 @@ impl Path {
         sent
     }
 
-    /// What its lights add up to, cd/m2: those drawn from the camera are added last, as a renderer does.
+    /// Returns the sum of its lights, cd/m2. Lights sampled from the camera are added last, as in a renderer.
     pub(crate) fn sum(&self) -> [f32; 3] {
         let of = |is_sight: bool| {
             let lights = self.lights.iter().filter(|light| (light.found == Found::Sight) == is_sight);
@@ -284,14 +285,14 @@ impl Path {
         added(of(false), of(true))
     }
 
-    /// All names that the record has.
+    /// Returns all names in the record.
     pub(crate) fn names(&self) -> impl Iterator<Item = Name> + '_ {
         let surfaces = self.intersections.iter().flat_map(|it| [it.object, it.material]);
         let lights = self.lights.iter().flat_map(|it| [it.light, it.medium, it.occluder.unwrap_or_default()]);
         surfaces.chain(lights)
     }
 
-    /// Whether all numbers are what they may be.
+    /// Checks that all numbers are in their valid ranges.
     pub fn is_sound(&self) -> bool {
         let is_light = |rgb: [f32; 3]| rgb.iter().all(|value| value.is_finite() && *value >= 0.0);
         let are_sound = self.intersections.iter().all(|it| {
@@ -312,7 +313,7 @@ fn added(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|channel| a[channel] + b[channel])
 }
 
-/// Luminance of a color, cd/m2 of cd/m2 by channel.
+/// Returns the luminance of a color, cd/m2, from cd/m2 by channel.
 pub fn luminance([r, g, b]: [f32; 3]) -> f32 {
     femc_math::color::luminance(femc_math::Rgb::new(r, g, b))
 }

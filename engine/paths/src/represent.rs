@@ -1,28 +1,28 @@
-//! A representative set: N paths whose histograms are nearly the histograms of all paths.
+//! A representative set: N paths whose histograms are close to the histograms of all paths.
 //!
-//! The distance of the founding documents (\[simons2016\]) is `D = sum |m_i / M - n_i / N|` over the 10 bins of each attribute, summed over
-//! the attributes of a path; they keep the best of many random sets ([`best_of`]). `DJ` is the same over the 10 x 10 bins of each
-//! two attributes that are next to each other in a parallel coordinates plot, where a line goes from the one to the other: a set
-//! may have every attribute right and the lines wrong.
+//! The distance of the founding documents (\[simons2016\]) is `D = sum |m_i / M - n_i / N|` over the 10 bins of each attribute,
+//! summed over the attributes of a path. They keep the best of many random sets ([`best_of`]). `DJ` is the corresponding sum over
+//! the 10 x 10 bins of each two attributes that are neighbors in a parallel coordinates plot, where a line connects them. A set may
+//! match every attribute and still have wrong lines.
 //!
-//! Here the set is found by exchanging: out of a pool of some times N candidates the worst of a few members goes, the best of a few others
-//! comes, if `D + DJ` becomes less by it. All of it is integer arithmetic with a fixed sequence of draws: the same candidates
-//! give the same set.
+//! Here the set is found by exchanges. From a pool of some times N candidates, the worst of a few members is exchanged for the best
+//! of a few other candidates, if this reduces `D + DJ`. The arithmetic is in integers with a fixed sequence of draws, so equal
+//! candidates give equal sets.
 
 use crate::schema::{COARSE, PATH};
 use femc_math::hash::mix64;
 
-/// Attributes of a path.
+/// Number of attributes of a path.
 const AXES: usize = PATH.len();
-/// Room for the bins of an attribute; a power of two, so that no index is out of bounds.
+/// Space for the bins of an attribute. It is a power of two so that a mask keeps every index in bounds.
 const SINGLE: usize = 16;
-/// Room for the joint bins of a pair of attributes.
+/// Space for the joint bins of a pair of attributes.
 const JOINT: usize = SINGLE * SINGLE;
-/// Units of a path in the residuals.
+/// Units of one path in the residuals.
 const UNIT: i64 = 256;
-/// Members and candidates that an exchange chooses among.
+/// Number of members, and of candidates, that an exchange chooses among.
 const AMONG: usize = 6;
-/// Exchanges that are tried for each path of the set.
+/// Number of attempted exchanges for each path of the set.
 const TRIES: usize = 10;
 
 /// Fine bins of a path, by [`path_bins`](crate::schema::path_bins).
@@ -35,7 +35,7 @@ fn coarse(bins: &Bins) -> Coarse {
     std::array::from_fn(|axis| PATH[axis].scale.coarse(bins[axis]))
 }
 
-/// Something for each bin of each attribute, and of each pair of neighbors.
+/// One value for each bin of each attribute and of each pair of neighboring attributes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Table<T> {
     single: [[T; SINGLE]; AXES],
@@ -52,7 +52,7 @@ impl<T: Copy + Default> Table<T> {
     }
 }
 
-/// Place of a pair's bin.
+/// Returns the index of a pair's bin.
 #[inline]
 fn pair(coarse: &Coarse, at: usize) -> usize {
     usize::from(coarse[at] & 15) << 4 | usize::from(coarse[at + 1] & 15)
@@ -66,7 +66,7 @@ pub struct Target {
 }
 
 impl Target {
-    /// Of all of these paths.
+    /// Counts the given paths.
     pub fn of<'a>(paths: impl IntoIterator<Item = &'a Bins>) -> Self {
         let (mut counts, mut total) = (Box::new(Table::<u64>::new()), 0);
         for bins in paths {
@@ -79,17 +79,17 @@ impl Target {
     }
 }
 
-/// How far a set is from all.
+/// Distance between a set and all paths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distance {
-    /// Of the attributes (D).
+    /// Distance of the attributes (D).
     pub single: f64,
-    /// Of the pairs of neighbors (DJ).
+    /// Distance of the pairs of neighbors (DJ).
     pub joint: f64,
 }
 
 impl Distance {
-    /// Of a set, by its bins.
+    /// Computes the distance of a set from its bins.
     pub fn of<'a>(set: impl IntoIterator<Item = &'a Bins>, target: &Target) -> Self {
         let own = Target::of(set);
         let part = |count: u64, of: u64| count as f64 / of.max(1) as f64;
@@ -100,20 +100,20 @@ impl Distance {
     }
 }
 
-/// A set that stands for all paths.
+/// A set that represents all paths.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Representative {
-    /// Places of its paths among the candidates, ascending.
+    /// Indices of its paths among the candidates, ascending.
     pub chosen: Vec<u32>,
-    /// How far it is from all.
+    /// Distance from all paths.
     pub distance: Distance,
-    /// What each path counts so that all attributes are right (raking, \[deming1940\]); their sum is the number of paths.
+    /// Weights of the paths that make all attributes match (raking, \[deming1940\]). Their sum is the number of paths.
     pub weights: Vec<f64>,
-    /// Equal weights that would be worth as much: (sum w)^2 / sum w^2 (\[kish1965\]).
+    /// Effective number of equal weights: (sum w)^2 / sum w^2 (\[kish1965\]).
     pub effective: f64,
 }
 
-/// What is too many and too few in each bin, and what one path more or less would change.
+/// Excess of each bin, and the change of the distance if one path is added or removed.
 struct Residuals {
     residual: Table<i32>,
     more: Table<i16>,
@@ -156,13 +156,13 @@ impl Residuals {
         self.less.joint[at][bin & (JOINT - 1)] = change(residual, -UNIT as i32);
     }
 
-    /// A path more (1) or less (-1).
+    /// Adds a path (1) or removes it (-1).
     fn add(&mut self, coarse: &Coarse, paths: i32) {
         (0..AXES).for_each(|axis| self.single(axis, usize::from(coarse[axis]), paths * UNIT as i32));
         (0..AXES - 1).for_each(|at| self.joint(at, pair(coarse, at), paths * UNIT as i32));
     }
 
-    /// What an exchange changes less than the going and the coming by themselves: bins that both paths are in stay as they are.
+    /// Returns the correction of an exchange against a separate removal and addition: bins that both paths share do not change.
     fn shared(&self, goes: &Coarse, comes: &Coarse) -> i32 {
         let mut all = 0;
         for axis in 0..AXES {
@@ -191,7 +191,7 @@ fn total(table: &Table<i16>, coarse: &Coarse) -> i32 {
     single + joint
 }
 
-/// Draws of a fixed sequence.
+/// Pseudo-random draws of a fixed sequence.
 struct Draws(u64);
 
 impl Draws {
@@ -202,7 +202,8 @@ impl Draws {
     }
 }
 
-/// Chooses `size` of the candidates so that they are as near to the target as exchanging gets them. All candidates, where there are no more.
+/// Chooses `size` of the candidates as close to the target as exchanges get. Returns all candidates if there are no more than
+/// `size`.
 pub fn representative(candidates: &[Bins], target: &Target, size: usize) -> Representative {
     let size = size.min(candidates.len());
     let coarse: Vec<Coarse> = candidates.iter().map(coarse).collect();
@@ -242,7 +243,7 @@ fn exchange(coarse: &[Coarse], members: &mut [u32], others: &mut [u32], target: 
     }
 }
 
-/// Rounds of raking.
+/// Number of rounds of raking.
 const RAKES: usize = 10;
 
 fn rake(set: &[&Bins], target: &Target) -> Vec<f64> {
@@ -253,7 +254,7 @@ fn rake(set: &[&Bins], target: &Target) -> Vec<f64> {
         let mut sums = [0.0f64; COARSE];
         set.iter().zip(&weights).for_each(|(bins, weight)| sums[coarse(bins)] += weight);
         let wanted = |bin: usize| target.counts.single[axis][bin] as f64 / target.total.max(1) as f64 * size;
-        // What the set lacks altogether no weight can bring.
+        // A weight cannot fill a bin in which the set has no path.
         let factors: [f64; COARSE] =
             std::array::from_fn(|bin| if sums[bin] > 0.0 { wanted(bin) / sums[bin] } else { 1.0 });
         set.iter().zip(&mut weights).for_each(|(bins, weight)| *weight *= factors[coarse(bins)]);
@@ -265,7 +266,7 @@ fn rake(set: &[&Bins], target: &Target) -> Vec<f64> {
     weights
 }
 
-/// The founding documents' reduction, to compare with: the nearest of `sets` random sets, drawn with replacement.
+/// Computes the reduction of the founding documents, for comparison: the closest of `sets` random sets, drawn with replacement.
 pub fn best_of(candidates: &[Bins], target: &Target, size: usize, sets: usize) -> Distance {
     let mut draws = Draws(1);
     let mut set = || -> Vec<&Bins> { (0..size).map(|_| &candidates[draws.below(candidates.len())]).collect() };
@@ -274,7 +275,8 @@ pub fn best_of(candidates: &[Bins], target: &Target, size: usize, sets: usize) -
     distances.fold(nothing, |best, distance| if distance.single < best.single { distance } else { best })
 }
 
-/// The places of the paths in the rarest bins: those with an attribute in a fine bin that few others are in, the rarest first.
+/// Returns the indices of the paths in the rarest bins, the rarest first: those with an attribute in a fine bin that few paths are
+/// in.
 pub fn rarest(candidates: &[Bins], most: usize) -> Vec<u32> {
     let mut counts = [[0u32; crate::schema::FINE]; AXES];
     for bins in candidates {

@@ -1,14 +1,14 @@
-//! What is known of a record as numbers, and the bins that they are counted in. All edges are fixed: they depend on no sample, so counts
-//! of different workers, jobs and variants add up. A change of this file is a new [`VERSION`].
+//! Attributes of records as numbers, and the bins that count them. All edges are fixed and independent of the samples, so counts of
+//! different workers, jobs and variants add up. A change of this file requires a new [`VERSION`].
 //!
 //! | scale | of 64 fine bins | of 10 coarse bins |
 //! | --- | --- | --- |
 //! | [`Scale::Film`] | 64 equal parts of the film's width or height | 10 runs of fine bins: `10 f / 64` |
-//! | [`Scale::World`] | 0: there is none; 63 equal parts of the scene's box, what is outside in the nearest | the same |
+//! | [`Scale::World`] | 0: no position; 63 equal parts of the scene's box, points outside in the nearest | the same |
 //! | [`Scale::Radiance`] | 0: zero; two an octave: 1 has all below 2^-10 cd/m2, 2 from there to 2^-9.5, 63 all from 2^20.5 on | the same |
 //! | [`Scale::Throughput`] | 0: zero; four an octave: 1 has all below 2^-11.75, 2 from there to 2^-11.5, 63 all from 2^3.5 on | the same |
 //! | [`Scale::Count`] | the number; 63 has all from 63 on | the number, 9 has all from 9 on |
-//! | [`Scale::Class`] | the number of the word, 0: there is none | the same |
+//! | [`Scale::Class`] | the number of the word, 0: none | the same |
 //! | [`Scale::Name`] | 0: none, else 1 + key mod 63: names may share a bin | `10 f / 64` |
 
 use crate::record::{Name, Path, luminance};
@@ -16,32 +16,32 @@ use crate::statistics::Scope;
 
 /// Version of the attributes and their bins.
 pub const VERSION: u32 = 1;
-/// Fine bins of an attribute.
+/// Number of fine bins of an attribute.
 pub const FINE: usize = 64;
-/// Coarse bins of an attribute, as the founding documents have them.
+/// Number of coarse bins of an attribute, as in the founding documents.
 pub const COARSE: usize = 10;
 
-/// How numbers become bins.
+/// Mapping from numbers to bins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// A pixel's place on the film.
+    /// Position of a pixel on the film.
     Film,
     /// A coordinate, world, m.
     World,
-    /// cd/m2.
+    /// Radiance, cd/m2.
     Radiance,
-    /// A factor.
+    /// Throughput factor.
     Throughput,
-    /// A number of things.
+    /// Number of items.
     Count,
-    /// One of a few words.
+    /// Word of a small set.
     Class,
     /// A name.
     Name,
 }
 
 impl Scale {
-    /// The coarse bin of a fine one.
+    /// Returns the coarse bin of a fine bin.
     #[inline]
     pub fn coarse(self, fine: u8) -> u8 {
         match self {
@@ -56,9 +56,9 @@ impl Scale {
 /// An attribute of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attribute {
-    /// Its name in tables and conditions.
+    /// Name of the attribute in tables and conditions.
     pub name: &'static str,
-    /// Its bins.
+    /// Scale of its bins.
     pub scale: Scale,
 }
 
@@ -66,8 +66,8 @@ const fn of(name: &'static str, scale: Scale) -> Attribute {
     Attribute { name, scale }
 }
 
-/// Attributes of a path, in the order of the axes of a parallel coordinates plot. `first` and `last` are its intersections, `light` the
-/// light that has brought the most.
+/// Attributes of a path, in the order of the axes of a parallel coordinates plot. `first` and `last` are its intersections, `light`
+/// is the light that contributed the most.
 pub const PATH: [Attribute; 20] = [
     of("pixel.x", Scale::Film),
     of("pixel.y", Scale::Film),
@@ -115,12 +115,12 @@ pub const LIGHT: [Attribute; 6] = [
     of("found", Scale::Class),
 ];
 
-/// Attributes of paths, intersections and lights.
+/// Numbers of attributes of paths, intersections and lights.
 pub const AXES: [usize; 3] = [PATH.len(), INTERSECTION.len(), LIGHT.len()];
-/// Bins of all attributes.
+/// Number of bins of all attributes.
 pub const ALL_BINS: usize = FINE * (AXES[0] + AXES[1] + AXES[2]);
 
-/// Fine bins of a path.
+/// Returns the fine bins of a path.
 pub fn path_bins(scope: &Scope, path: &Path) -> [u8; PATH.len()] {
     let [width, height] = scope.film;
     let (x, y) = (path.key.pixel % width.max(1), path.key.pixel / width.max(1));
@@ -154,7 +154,7 @@ pub fn path_bins(scope: &Scope, path: &Path) -> [u8; PATH.len()] {
     ]
 }
 
-/// Fine bins of a path's intersections.
+/// Returns the fine bins of a path's intersections.
 pub fn intersection_bins<'a>(
     scope: &'a Scope,
     path: &'a Path,
@@ -166,7 +166,7 @@ pub fn intersection_bins<'a>(
     })
 }
 
-/// Fine bins of a path's lights.
+/// Returns the fine bins of a path's lights.
 pub fn light_bins(path: &Path) -> impl Iterator<Item = [u8; LIGHT.len()]> + use<'_> {
     path.lights.iter().map(|it| {
         let [r, g, b] = it.radiance.map(radiance);
@@ -182,15 +182,15 @@ fn world(scope: &Scope, position: [f64; 3]) -> [u8; 3] {
     std::array::from_fn(|axis| {
         let (low, high) = (scope.lower[axis], scope.upper[axis]);
         let part = (position[axis] - low) / (high - low);
-        // A box without extent has all in its first part: NaN becomes 0.
+        // If the box has no extent, all points are in its first part: NaN becomes 0.
         1 + (part * (FINE - 1) as f64).clamp(0.0, (FINE - 2) as f64) as u8
     })
 }
 
-/// Roots of 2, each as the nearest number.
+/// Powers 2^0, 2^(1/4), 2^(1/2) and 2^(3/4), rounded to nearest.
 const FOURTHS: [f32; 4] = [1.0, 1.189_207_115_002_721, std::f32::consts::SQRT_2, 1.681_792_830_507_429];
 
-/// The number of fourths of an octave that `value` lies above 2^0, rounded down; of numbers below the normal ones -504.
+/// Returns the number of fourths of an octave that `value` lies above 2^0, rounded down; -504 to -501 for subnormal numbers.
 #[inline]
 fn fourths(value: f32) -> i32 {
     let bits = value.to_bits();
@@ -201,13 +201,13 @@ fn fourths(value: f32) -> i32 {
     4 * exponent.max(-126) + part
 }
 
-/// The fine bin of a radiance, cd/m2; finite, not negative.
+/// Returns the fine bin of a radiance, cd/m2; finite, not negative.
 #[inline]
 pub fn radiance(value: f32) -> u8 {
     if value > 0.0 { (fourths(value).div_euclid(2) + RADIANCE_BASE).clamp(1, FINE as i32 - 1) as u8 } else { 0 }
 }
 
-/// The fine bin of a factor; finite, not negative.
+/// Returns the fine bin of a factor; finite, not negative.
 #[inline]
 pub fn throughput(value: f32) -> u8 {
     if value > 0.0 { (fourths(value) + THROUGHPUT_BASE).clamp(1, FINE as i32 - 1) as u8 } else { 0 }
@@ -218,12 +218,12 @@ const RADIANCE_BASE: i32 = 22;
 /// Bin of a factor of 1.
 const THROUGHPUT_BASE: i32 = 49;
 
-/// Lower edge of a fine bin of radiances; of bins 0 and 1 it is 0.
+/// Returns the lower edge of a fine bin of radiances; 0 for bins 0 and 1.
 pub fn radiance_edge(bin: u8) -> f64 {
     edge(bin, 2 * (i32::from(bin) - RADIANCE_BASE))
 }
 
-/// Lower edge of a fine bin of factors; of bins 0 and 1 it is 0.
+/// Returns the lower edge of a fine bin of factors; 0 for bins 0 and 1.
 pub fn throughput_edge(bin: u8) -> f64 {
     edge(bin, i32::from(bin) - THROUGHPUT_BASE)
 }
@@ -233,13 +233,13 @@ fn edge(bin: u8, fourths: i32) -> f64 {
     if bin < 2 { 0.0 } else { f64::from(octave * FOURTHS[fourths.rem_euclid(4) as usize]) }
 }
 
-/// The fine bin of a number of things.
+/// Returns the fine bin of a number of items.
 #[inline]
 pub fn count(number: u32) -> u8 {
     number.min(FINE as u32 - 1) as u8
 }
 
-/// The fine bin of a name.
+/// Returns the fine bin of a name.
 #[inline]
 pub fn name(name: Name) -> u8 {
     if name == Name::NONE { 0 } else { 1 + (name.0 % (FINE as u64 - 1)) as u8 }

@@ -1,13 +1,13 @@
-//! What is known of the samples of a frame, or of a part of it, and the union of parts.
+//! Statistics of the samples of a frame, or of a part of it, and the union of parts.
 //!
-//! Samples are counted by *portion*: a range of samples of one half of a tile. Only the finished frame knows which portions count in its
-//! image, so each portion keeps its own counters until then; the key of a record says which portion it belongs to. Statistics are united
-//! as sets, keyed by (tile, half, samples): the union is associative, commutative and idempotent to the byte.
+//! Samples are counted by *portion*: a range of samples of one half of a tile. Only the finished frame knows which portions count
+//! in its image, so each portion keeps its own counters until then. The key of a record says which portion it belongs to.
+//! Statistics are united as sets, keyed by (tile, half, samples): the union is associative, commutative and idempotent to the byte.
 //!
-//! Records are the bottom-k of all samples by hash (\[cohen2007\]): `threshold` is at most the (k+1)-th least hash of all samples, and all
-//! samples of lesser hashes are there. So they are a fair subset, and anything counted of them is exact over a known subset,
-//! of the share [`Statistics::share`]. Records of samples that turn out not to count are dropped, which leaves all that count below
-//! the same threshold.
+//! Records are the bottom-k of all samples by hash (\[cohen2007\]): `threshold` is at most the (k+1)-th least hash of all samples,
+//! and all samples of lesser hashes are present. So they are a fair subset, and any count over them is exact over a known subset
+//! with the share [`Statistics::share`]. Records of samples that turn out not to count are dropped. All samples that count and lie
+//! below the same threshold remain.
 
 use crate::pixels::{self, PixelSums};
 use crate::record::{ByName, Names, Path, PathKey};
@@ -15,7 +15,7 @@ use crate::schema;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
 
-/// What statistics are of: parts that differ in it have no union.
+/// Frame and settings of statistics. Parts with different scopes cannot be united.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Scope {
     /// Key of the random streams.
@@ -26,33 +26,33 @@ pub struct Scope {
     pub film: [u32; 2],
     /// Width and height of a tile, pixels; not 0.
     pub edge: u32,
-    /// Lower corner of the box that places are counted in, world, m.
+    /// Lower corner of the box for positions, world, m.
     pub lower: [f64; 3],
-    /// Its upper corner.
+    /// Upper corner of the box.
     pub upper: [f64; 3],
-    /// Most records chosen by hash (k).
+    /// Maximum number of records chosen by hash (k).
     pub keep: u32,
-    /// Most records of each sketch for each portion.
+    /// Maximum number of records of each sketch for each portion.
     pub top: u32,
-    /// Whether all samples are in the histograms of single attributes.
+    /// Whether the histograms of single attributes count all samples.
     pub is_full: bool,
 }
 
 impl Scope {
-    /// Tiles in a row, and in all.
+    /// Returns the number of tiles in a row, and the number of all tiles.
     pub(crate) fn tiles(&self) -> [u64; 2] {
         let [columns, rows] = self.film.map(|size| u64::from(size.div_ceil(self.edge.max(1))));
         [columns, columns * rows]
     }
 
-    /// Index of the tile of a pixel, row by row.
+    /// Returns the index of the tile of a pixel, row by row.
     pub fn tile_of(&self, pixel: u32) -> u32 {
         let (width, edge) = (self.film[0].max(1), self.edge.max(1));
         let (x, y) = (pixel % width / edge, pixel / width / edge);
         y * width.div_ceil(edge) + x
     }
 
-    /// Pixels of a tile.
+    /// Returns the number of pixels of a tile.
     pub fn area(&self, tile: u32) -> u64 {
         let [width, height] = self.film.map(u64::from);
         let (columns, edge) = (self.tiles()[0].max(1), u64::from(self.edge));
@@ -60,7 +60,7 @@ impl Scope {
         edge.min(width.saturating_sub(x)) * edge.min(height.saturating_sub(y))
     }
 
-    /// Pixels of a tile, row by row.
+    /// Returns the pixels of a tile, row by row.
     pub fn pixels_of(&self, tile: u32) -> impl Iterator<Item = u32> + use<> {
         let (edge, [width, height]) = (self.edge.max(1), self.film);
         let columns = width.div_ceil(edge).max(1);
@@ -70,22 +70,23 @@ impl Scope {
         rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
     }
 
-    /// Places of intersections are whole multiples of it, m: a power of two, 2^-20 to 2^-19 of the box's greatest extent.
+    /// Returns the grid spacing, m. Positions of intersections are whole multiples of it. It is a power of two, 2^-20 to 2^-19 of
+    /// the box's greatest extent.
     pub fn grid(&self) -> f64 {
         let extents = self.lower.iter().zip(&self.upper).map(|(low, high)| high - low);
         let extent = extents.fold(0.0, f64::max).clamp(1e-30, 1e30);
-        // The exponent alone.
+        // Keeps only the exponent.
         f64::from_bits(extent.to_bits() >> 52 << 52) / f64::from(1u32 << 19)
     }
 
-    /// The nearest place on the [grid](Self::grid).
+    /// Returns the nearest position on the [grid](Self::grid).
     pub fn on_grid(&self, position: [f64; 3]) -> [f64; 3] {
         let grid = self.grid();
-        // A negative zero is none.
+        // Turns a negative zero into zero.
         position.map(|axis| (axis / grid).round() * grid + 0.0)
     }
 
-    /// Pixels of the film.
+    /// Returns the number of pixels of the film.
     pub(crate) fn pixels(&self) -> u64 {
         self.film.iter().map(|size| u64::from(*size)).product()
     }
@@ -99,21 +100,21 @@ impl Scope {
     }
 }
 
-/// Samples of one half of a tile; the order is that of the fields.
+/// Range of samples of one half of a tile. Keys are ordered by the fields in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PortionKey {
     /// Index of the tile.
     pub tile: u32,
     /// 0: the even samples (A), 1: the odd ones (B).
     pub half: u8,
-    /// Samples of each pixel from here on, of both halves.
+    /// First sample of each pixel, counted over both halves.
     pub begin: u32,
-    /// One past the last.
+    /// One past the last sample.
     pub end: u32,
 }
 
 impl PortionKey {
-    /// Samples a pixel of its half.
+    /// Returns the number of samples per pixel in its half.
     pub fn samples(self) -> u32 {
         let below = |end: u32| if self.half == 0 { end.div_ceil(2) } else { end / 2 };
         below(self.end) - below(self.begin)
@@ -124,27 +125,27 @@ impl PortionKey {
     }
 }
 
-/// Counts of all samples of a portion, in integers.
+/// Integer counts of all samples of a portion.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Counters {
-    /// Samples that are no light (not finite, negative): the film leaves them out, and so does everything here.
+    /// Number of invalid samples (not finite, or negative). The film ignores them, and so do all statistics here.
     pub bad: u64,
-    /// The others by the fine bin of their luminance.
+    /// Valid samples by the fine bin of their luminance.
     pub luminance: [u64; schema::FINE],
-    /// By the fine bin of their depth.
+    /// Valid samples by the fine bin of their depth.
     pub depth: [u64; schema::FINE],
-    /// By why the path ended, in the order of [`End::ALL`](crate::End::ALL).
+    /// Valid samples by the reason why the path ended, in the order of [`End::ALL`](crate::End::ALL).
     pub ends: [u64; ENDS],
     /// Sums of each pixel of the tile, row by row.
     pub pixels: Vec<PixelSums>,
-    /// If the [scope is full](Scope::is_full), else none: histograms of all attributes of all tables, [`Bins`] one after the other.
+    /// Histograms of all attributes of all tables, one after the other, if the [scope is full](Scope::is_full); else empty.
     pub bins: Bins,
 }
 
-/// Counts of all attributes of paths, then of intersections, then of lights, each in its fine bins; or nothing.
+/// Counts of all attributes of paths, then of intersections, then of lights, each in its fine bins; or empty.
 pub type Bins = Vec<u64>;
 
-/// Reasons for a path to end.
+/// Number of reasons why a path ends.
 pub(crate) const ENDS: usize = crate::End::ALL.len();
 
 impl Default for Counters {
@@ -155,12 +156,12 @@ impl Default for Counters {
 }
 
 impl Counters {
-    /// Of no samples of a tile of so many pixels.
+    /// Creates counters without samples, for a tile with this number of pixels.
     pub fn of_pixels(pixels: usize) -> Self {
         Self { pixels: vec![PixelSums::default(); pixels], ..Self::default() }
     }
 
-    /// Counts a sample of a luminance, a depth and an end; not in its pixel.
+    /// Counts a sample by luminance, depth and end, but not in its pixel.
     #[inline]
     pub fn count(&mut self, luminance: f32, depth: u32, end: crate::End) {
         self.luminance[usize::from(schema::radiance(luminance))] += 1;
@@ -168,7 +169,7 @@ impl Counters {
         self.ends[end as usize] += 1;
     }
 
-    /// Samples that were counted, bad ones among them.
+    /// Returns the number of counted samples, including bad ones.
     pub fn samples(&self) -> u64 {
         self.bad.saturating_add(sum(&self.ends))
     }
@@ -203,16 +204,16 @@ impl Counters {
         self.bins.iter_mut().zip(other).for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
     }
 
-    /// The same without what is known of pixels: of any tiles.
+    /// Adds the counts of other samples of any tile, without the sums of pixels and the histograms.
     pub fn merge_counts(&mut self, other: &Self) {
         self.words_mut().zip(other.words()).for_each(|(mine, theirs)| *mine = mine.saturating_add(theirs));
     }
 
-    /// Whether all counts are of as many samples.
+    /// Checks that all counts cover the same number of samples.
     pub(crate) fn is_sound(&self, key: PortionKey, scope: &Scope) -> bool {
         let (ends, area) = (sum(&self.ends), scope.area(key.tile));
         let mut counts = self.bins.as_chunks::<{ schema::FINE }>().0.iter().map(|counts| sum(counts));
-        // Each path is in one bin of each attribute, each of its intersections and lights in one of each of theirs.
+        // Each path is in one bin of each path attribute, and so are its intersections and lights for their attributes.
         let mut are_alike = |axes: usize, expected: Option<u64>| {
             let first = counts.next();
             first == expected.or(first) && counts.by_ref().take(axes - 1).all(|sum| Some(sum) == first)
@@ -243,16 +244,16 @@ fn sum(counts: &[u64]) -> u64 {
     counts.iter().fold(0, |all: u64, count| all.saturating_add(*count))
 }
 
-/// Why parts have no union.
+/// Reason why parts cannot be united.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UnionError {
-    /// Of another frame, film, box or size.
+    /// The parts differ in frame, film, box or size.
     #[error("statistics of different frames or settings")]
     Scope,
-    /// The same samples are in parts that are cut otherwise.
+    /// The parts contain the same samples in different portions.
     #[error("samples {} to {} of half {} of tile {} are there in two portions", .0.begin, .0.end, .0.half, .0.tile)]
     Overlap(PortionKey),
-    /// A portion comes twice, with other counts.
+    /// A portion arrived twice with different counts.
     #[error("samples {} to {} of half {} of tile {} were counted differently", .0.begin, .0.end, .0.half, .0.tile)]
     Unlike(PortionKey),
 }
@@ -260,83 +261,83 @@ pub enum UnionError {
 /// Light statistics of some samples of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Statistics {
-    /// What they are of.
+    /// Frame and settings.
     pub scope: Scope,
-    /// Every sample of a portion whose hash is below has its record in `paths`, and no other.
+    /// Hash threshold. `paths` has exactly the records of those samples of the portions whose hash is below it.
     pub threshold: u64,
     /// Counters by portion.
     pub portions: BTreeMap<PortionKey, Counters>,
-    /// Records by their hashes.
+    /// Records chosen by hash.
     pub paths: Records,
-    /// Of each portion the records of greatest luminance: fireflies.
+    /// Records of greatest luminance of each portion: fireflies.
     pub brightest: Records,
-    /// Of each portion the records of greatest throughput, of paths with at least [`DEEP`] intersections: bottlenecks.
+    /// Records of greatest throughput of each portion, among paths with at least [`DEEP`] intersections: bottlenecks.
     pub deepest: Records,
-    /// Texts of the names that the records have.
+    /// Texts of the names in the records.
     pub names: Names,
 }
 
 /// Records in order of hash and key.
 pub type Records = BTreeMap<(u64, PathKey), Path>;
 
-/// Intersections of a deep path.
+/// Minimum number of intersections of a deep path.
 pub const DEEP: u32 = 8;
 
-/// What a path's rank among the brightest goes by: its luminance, cd/m2.
+/// Returns the rank of a path among the brightest: its luminance, cd/m2.
 pub fn brightness(path: &Path) -> f32 {
     path.luminance()
 }
 
-/// What a path's rank among the deepest goes by: its greatest throughput; of paths that are not deep none.
+/// Returns the rank of a path among the deepest: its greatest throughput. `None` if the path is not deep.
 pub fn depth_rank(path: &Path) -> Option<f32> {
     (path.depth >= DEEP).then(|| path.throughput.into_iter().fold(0.0, f32::max))
 }
 
 impl Statistics {
-    /// Of no samples.
-    /// - `share`: the share of samples whose paths are recorded to begin with, in (0, 1].
+    /// Creates statistics without samples.
+    /// - `share`: the initial share of samples whose paths are recorded, in (0, 1].
     pub fn new(scope: Scope, share: f64) -> Self {
-        // All of 2^64, up to the one hash that there is not.
+        // `u64::MAX` accepts all hashes, since no hash has that value.
         let threshold = if share < 1.0 { (share.max(0.0) * TWO_64) as u64 } else { u64::MAX };
         Self { scope, threshold, ..Self::default() }
     }
 
-    /// Share of samples whose paths are there.
+    /// Returns the share of samples whose paths are recorded.
     pub fn share(&self) -> f64 {
         if self.threshold == u64::MAX { 1.0 } else { self.threshold as f64 / TWO_64 }
     }
 
-    /// Samples that were counted, bad ones among them.
+    /// Returns the number of counted samples, including bad ones.
     pub fn samples(&self) -> u64 {
         self.portions.values().fold(0, |all: u64, counters| all.saturating_add(counters.samples()))
     }
 
-    /// The counters of all portions together, without pixels.
+    /// Returns the sums of the counters of all portions, without pixels.
     pub fn totals(&self) -> Counters {
         let mut all = Counters::default();
         self.portions.values().for_each(|counters| all.merge_counts(counters));
         all
     }
 
-    /// Whether the path of a sample is to be recorded.
+    /// Checks whether the path of a sample must be recorded.
     #[inline]
     pub fn wants(&self, key: PathKey) -> bool {
         key.hash(self.scope.seed) < self.threshold
     }
 
-    /// The portion that a sample is of.
+    /// Returns the portion that contains a sample.
     pub fn portion_of(&self, key: PathKey) -> Option<PortionKey> {
         portion_of(&self.scope, &self.portions, key)
     }
 
-    /// Adds what another part of the frame has; of what both have, one. An error changes nothing.
+    /// Adds another part of the frame. Data that both parts have counts once. An error changes nothing.
     pub fn unite(&mut self, other: Self) -> Result<(), UnionError> {
         self.add(other)?;
         self.settle();
         Ok(())
     }
 
-    /// The same of many parts.
+    /// Adds several parts of the frame, as [`Self::unite`] does. An error leaves the parts before it added, but not settled.
     pub fn unite_all(&mut self, others: impl IntoIterator<Item = Self>) -> Result<(), UnionError> {
         for other in others {
             self.absorb(other)?;
@@ -345,8 +346,9 @@ impl Statistics {
         Ok(())
     }
 
-    /// Adds another part without keeping of the records what the scope allows: after the last one [`Self::settle`] does.
-    /// With records of twice as many as are kept it is done at once, so that memory does not grow with the number of parts.
+    /// Adds another part without trimming the records to the limits of the scope. Call [`Self::settle`] after the last part. If
+    /// there are more than twice as many records as the limit, it trims at once, so that memory does not grow with the number of
+    /// parts.
     pub fn absorb(&mut self, other: Self) -> Result<(), UnionError> {
         self.add(other)?;
         if self.paths.len() > 2 * self.scope.keep as usize {
@@ -378,7 +380,8 @@ impl Statistics {
         Ok(())
     }
 
-    /// Keeps of the records what the scope allows, and of the names what the records have: what is left is a function of the samples.
+    /// Trims the records to the limits of the scope, and the names to those that the records use. The result is a function of the
+    /// samples.
     pub fn settle(&mut self) {
         if let Some(((hash, _), _)) = self.paths.iter().nth(self.scope.keep as usize) {
             self.threshold = self.threshold.min(*hash);
@@ -396,7 +399,7 @@ impl Statistics {
         self.names.retain(|name, _| used.contains_key(name));
     }
 
-    /// Keeps the `most` records of greatest `rank` of each portion; among equal ranks the record with the lesser hash wins.
+    /// Keeps the `most` records of greatest `rank` of each portion. Among equal ranks, the record with the lesser hash wins.
     fn keep_best(&self, records: &mut Records, most: usize, rank: impl Fn(&Path) -> Option<f32>) {
         let mut by_portion = BTreeMap::<PortionKey, Vec<(f32, (u64, PathKey))>>::new();
         for (key, path) in records.iter() {
@@ -412,11 +415,11 @@ impl Statistics {
         records.retain(|key, _| kept.contains(key));
     }
 
-    /// What counts in the image: samples from `begin` on, of each half up to its end; neighboring portions are joined.
+    /// Keeps what counts in the image: samples from `begin` on, up to the end of each half. Adjacent portions are joined.
     ///
-    /// The result is the same however the samples were divided into portions; it is to be made when all parts are there, since what was
-    /// joined is not recognized as what it was made of.
-    /// - `ends`: of a tile and a half one past the last sample that counts.
+    /// The result does not depend on the division of the samples into portions. Call it when all parts are present: the union does
+    /// not recognize a joined portion as the portions it consists of.
+    /// - `ends`: returns, for a tile and a half, one past the last sample that counts.
     #[must_use]
     pub fn counted(mut self, begin: u32, ends: impl Fn(u32, u8) -> u32) -> Self {
         let counts = |key: &PortionKey| key.begin >= begin && key.end <= ends(key.tile, key.half);
@@ -442,25 +445,25 @@ impl Statistics {
         self
     }
 
-    /// The records of greatest luminance of all portions, the greatest first.
+    /// Returns the records of greatest luminance of all portions, in descending order.
     pub fn fireflies(&self) -> Vec<&Path> {
         ranked(&self.brightest, |path| Some(brightness(path)))
     }
 
-    /// The deep records of greatest throughput of all portions, the greatest first.
+    /// Returns the deep records of greatest throughput of all portions, in descending order.
     pub fn bottlenecks(&self) -> Vec<&Path> {
         ranked(&self.deepest, depth_rank)
     }
 
-    /// Part of the image that a sample is, in units of 2^-[`IMAGE_BITS`] of its pixel: with n_A samples of half A in the pixel and n_B of B
-    /// each of A weighs 1 / (2 n_A), each of B 1 / (2 n_B); where there is one half alone, 1 / n. Rounded to the nearest unit, halves up.
-    /// 0: the sample does not count.
+    /// Returns the part of the image that a sample is, in units of 2^-[`IMAGE_BITS`] of its pixel. With n_A samples of half A in
+    /// the pixel and n_B of B, each sample of A weighs 1 / (2 n_A) and each of B 1 / (2 n_B). If there is only one half, each
+    /// weighs 1 / n. The result is rounded to the nearest unit, ties up. It is 0 if the sample does not count.
     pub fn image_weight(&self, key: PathKey) -> u64 {
         let counts = self.half_counts(self.scope.tile_of(key.pixel));
         image_weight(counts, key.half())
     }
 
-    /// Samples a pixel that each half of a tile has.
+    /// Returns the number of samples per pixel of each half of a tile.
     pub fn half_counts(&self, tile: u32) -> [u64; 2] {
         let mut counts = [0; 2];
         let first = PortionKey { tile, half: 0, begin: 0, end: 0 };
@@ -473,10 +476,10 @@ impl Statistics {
 
 const TWO_64: f64 = 18_446_744_073_709_551_616.0;
 
-/// Bits of a part of a pixel.
+/// Fraction bits of a part of a pixel.
 pub const IMAGE_BITS: u32 = 32;
 
-/// See [`Statistics::image_weight`].
+/// Computes [`Statistics::image_weight`] from the numbers of samples of the halves.
 pub fn image_weight(counts: [u64; 2], half: u8) -> u64 {
     let [own, other] = if half == 0 { counts } else { [counts[1], counts[0]] };
     let parts = if other == 0 { own } else { 2 * own };
@@ -496,7 +499,7 @@ fn ranked(records: &Records, rank: impl Fn(&Path) -> Option<f32>) -> Vec<&Path> 
     all.into_iter().map(|(_, path)| path).collect()
 }
 
-/// Whether no other portion has samples of this one.
+/// Checks that no other portion has samples of this one.
 pub(crate) fn is_clear(portions: &BTreeMap<PortionKey, Counters>, key: PortionKey) -> bool {
     let is_clear = |other: &PortionKey| {
         (other.tile, other.half) != (key.tile, key.half) || other.end <= key.begin || key.end <= other.begin

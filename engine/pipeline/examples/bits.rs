@@ -1,7 +1,8 @@
-//! What this build of the engine computes, a line of digests for each thing: builds that print the same render the same bits.
+//! Prints digests of the results of this engine build, one line for each thing. Builds that print the same lines render the same
+//! bits.
 //!
-//! `tests/builds` runs it for several processors and compares. The first line is the engine's name: builds that have it in common
-//! may work on one frame, so their other lines have to be the same.
+//! `tests/builds` runs it for several processors and compares. The first line is the engine's name. Builds with the same name may
+//! work on one frame, so their other lines must be equal.
 
 use femc_film::Frame;
 use femc_film::exr::{Provenance, encode};
@@ -14,8 +15,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 
 type Shot = (&'static str, &'static str, [u32; 2], u32, &'static [u32]);
 
-/// Scene, camera, film, samples a pixel, frames: every kind of surface, medium, light, texture, photometry and motion is in one of
-/// them, seen by pinholes and lenses, at rest and in motion.
+/// Scene, camera, film, samples a pixel, and frames. Together they cover every kind of surface, medium, light, texture, photometry
+/// and motion, seen by pinholes and lenses, at rest and in motion.
 const SHOTS: [Shot; 10] = [
     ("zoo.mgf", "main", [96, 64], 32, &[1, 7]),
     ("zoo.mgf", "close", [64, 48], 16, &[4]),
@@ -39,7 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Renders the frames `frames`; prints digests of the description, the exact sums and the finished file.
+/// Renders the frames `frames`, and prints digests of the description, the exact sums and the finished file.
 fn shots(file: &str, camera: &str, size: [u32; 2], spp: u32, frames: &[u32]) -> Result<(), Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes").join(file);
     let scene = Arc::new(femc_import::load_path(&path)?.scene);
@@ -64,7 +65,7 @@ fn shots(file: &str, camera: &str, size: [u32; 2], spp: u32, frames: &[u32]) -> 
     Ok(())
 }
 
-/// Prints digests of images as textures have them.
+/// Prints digests of images as used by textures.
 fn images() -> Result<(), Box<dyn Error>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../import/tests/files");
     for name in ["orange.jpg", "grey.jpg"] {
@@ -109,10 +110,10 @@ fn elementary_functions() {
     print("fmod", elementary::fmod, double::fmod);
 }
 
-/// Arguments of all signs and magnitudes, and as many between -8 and 8.
+/// Evaluates arguments of all signs and magnitudes, and the same number of arguments between -8 and 8.
 fn print(name: &str, single: impl Fn(f32, f32) -> f32, double: impl Fn(f64, f64) -> f64) {
     let mut hash = blake3::Hasher::new();
-    // A NaN's sign and payload are not defined; nothing may depend on them.
+    // The sign and payload of a NaN are undefined. No result may depend on them.
     let canonical = |x: f64| if x.is_nan() { f64::NAN.to_bits() } else { x.to_bits() };
     let mut state = 0u64;
     for _ in 0..1 << 17 {

@@ -1,9 +1,9 @@
-//! What light statistics cost: renders a frame of a scene on one thread, tile by tile as a farm does, by turns without and with statistics;
-//! unites what the tiles have, and chooses a representative set.
+//! Measures the cost of light statistics. It renders a frame of a scene on one thread, tile by tile as a farm does, alternately
+//! without and with statistics. Then it unites the tiles' statistics and chooses a representative set.
 //!
 //! `cargo run --release -p femc-pipeline --example recording -- scene.mgf 192x192 32 5`
 //!
-//! With `without` or `with` as a fifth word it renders once and in that way alone: to count instructions.
+//! With `without` or `with` as a fifth argument it renders once and only in that way, for counting instructions.
 
 use femc_film::{Rect, Tiling};
 use femc_pipeline::paths::represent::{Bins, Distance, Target, best_of, representative};
@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Instant;
 
-/// Paths of a representative set.
+/// Number of paths of a representative set.
 const N: usize = 5000;
 /// Width and height of a tile, pixels.
 const EDGE: u32 = 64;
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Renders all tiles of a frame in one way: seconds, and the hash of the tiles.
+/// Renders all tiles of a frame in one way. Returns the seconds, and the hash of the tiles.
 fn frame(prepared: &Prepared, settings: &Settings, with: bool) -> Result<(f64, blake3::Hash), Box<dyn Error>> {
     let mut hasher = blake3::Hasher::new();
     let began = Instant::now();
@@ -57,8 +57,8 @@ fn frame(prepared: &Prepared, settings: &Settings, with: bool) -> Result<(f64, b
 /// Seconds without and with statistics, and the statistics of the tiles.
 type Turns = ([f64; 2], Vec<Vec<u8>>);
 
-/// Renders each tile so often in both ways by turns. Seconds of a frame are the sum of the least of each tile: what else the machine does
-/// lengthens some turns, and hardly ever all of a tile.
+/// Renders each tile `turns` times in both ways, alternately. The seconds of a frame are the sum of the minimum of each tile: other
+/// load on the machine lengthens some turns, but hardly ever all turns of a tile.
 fn by_turns(prepared: &Prepared, settings: &Settings, turns: u32) -> Result<Turns, Box<dyn Error>> {
     let (mut sums, mut parts) = ([0.0; 2], Vec::new());
     for rect in tiling(prepared).rects() {
@@ -87,7 +87,7 @@ fn tiling(prepared: &Prepared) -> Tiling {
     Tiling { width, height, edge: EDGE }
 }
 
-/// The bytes of a tile, and of its statistics.
+/// Bytes of a tile, and of its statistics.
 type Packed = (Vec<u8>, Option<Vec<u8>>);
 
 /// Renders and packs a tile, as a task of the farm does.

@@ -1,9 +1,9 @@
-//! Where the variance of a block of pixels comes from.
+//! Sources of the variance of a block of pixels.
 //!
-//! A sample is a sum of contributions, each of an [`Origin`]. Of independent samples `x = sum over g of x_g` the variance is
-//! `E[(x - m) x] = sum over g of E[(x - m) x_g]`: the covariances of the contributions with their sum are shares that add up to all.
-//! (That the samples of a replicate are spread evenly is not looked at: what dominates a bad block are rare bright samples, to which
-//! that does not matter.)
+//! A sample is a sum of contributions, each with an [`Origin`]. The variance of independent samples `x = sum over g of x_g` is
+//! `E[(x - m) x] = sum over g of E[(x - m) x_g]`. So the covariances of the contributions with their sum are shares that add up to
+//! the variance. (This ignores that the samples of a replicate are evenly spread. The dominant samples of a noisy block are rare
+//! and bright, and even spread does not affect them.)
 
 use crate::replay::{Counted, Replay};
 use crate::settings::Settings;
@@ -18,31 +18,31 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// How light came into a sample.
+/// Way in which light entered a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum How {
-    /// A point on the lamp was drawn from the camera.
+    /// A point on the lamp was sampled from the camera.
     Sight,
-    /// The camera's ray has met the lamp.
+    /// The camera ray hit the lamp.
     Seen,
-    /// The path has met the lamp behind a mirror or bending glass.
+    /// The path hit the lamp behind a mirror or refracting glass.
     Mirrored,
-    /// The path has met the lamp after it was scattered.
+    /// The path hit the lamp after it was scattered.
     Scattered,
-    /// A point on the lamp was drawn from a surface.
+    /// A point on the lamp was sampled from a surface.
     Surface,
-    /// A point on the lamp, and a distance by what a medium on the segment scatters of its light.
+    /// A point on the lamp was sampled, with a distance by its light that a medium on the segment scatters.
     Airlight,
-    /// A medium glows.
+    /// A medium emits light.
     Glow,
-    /// From the first pass, with the method `fem`.
+    /// Light of the first pass, with the method `fem`.
     Field,
 }
 
-/// What light was scattered by last.
+/// Last scatterer of light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum On {
-    /// Nothing: it comes straight to the camera.
+    /// None: the light travels straight to the camera.
     Camera,
     /// A surface.
     Surface {
@@ -51,34 +51,34 @@ pub enum On {
         /// Index of its material.
         material: u32,
     },
-    /// A medium, by its index.
+    /// A medium, by index.
     Medium(u16),
 }
 
-/// Where a contribution comes from.
+/// Origin of a contribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Origin {
     /// Segment of the path, 0: the camera's.
     pub bounce: u32,
-    /// How it came in.
+    /// Way in which the light entered.
     pub how: How,
-    /// Whether a first pass has drawn a direction of the path until then.
+    /// Whether the guide of a first pass sampled a direction of the path before this contribution.
     pub guided: bool,
-    /// What it was scattered by.
+    /// Last scatterer.
     pub on: On,
-    /// The lamp, by its place in [`Lamps::names`]; `None`: a medium.
+    /// Index of the lamp in [`Lamps::names`]. `None`: a medium.
     pub lamp: Option<u32>,
 }
 
-/// The lamps of a frame: lights of one kind in one object are one lamp.
+/// The lamps of a frame. Lights of one kind in one object are one lamp.
 pub struct Lamps {
-    /// Their names; the place is that of the first.
+    /// Names of the lamps. The order is that of the first light of each lamp.
     pub names: Vec<LampName>,
     of_light: Vec<u32>,
 }
 
 impl Lamps {
-    /// Of all lights of a frame.
+    /// Groups all lights of a frame into lamps.
     pub fn new(prepared: &Prepared) -> Self {
         let (mut known, mut names) = (BTreeMap::new(), Vec::<LampName>::new());
         let lights = 0..prepared.lights.len() as u32;
@@ -95,7 +95,7 @@ impl Lamps {
 }
 
 impl Origin {
-    /// Of a contribution to a sample; `vertices`: of the path until then.
+    /// Returns the origin of a contribution to a sample. `vertices`: number of vertices of the path up to then.
     pub fn of(prepared: &Prepared, lamps: &Lamps, recording: &Recording, it: &Contribution, vertices: usize) -> Self {
         let source = recording.source(vertices);
         let before = source.map_or(On::Camera, |step| on(prepared, step.vertex.place));
@@ -113,14 +113,14 @@ impl Origin {
         };
         let lamp = it.light.and_then(|light| lamps.of_light.get(light as usize).copied());
         let guided = |step: &Step| matches!(step.leaving, Some(Leaving::Scattered { by_guide: true, .. }));
-        // How the path goes on from where a lamp was drawn changes nothing of that.
+        // The direction in which the path leaves a vertex does not affect a lamp that was sampled there.
         let left = vertices.saturating_sub(usize::from(matches!(it.found, Found::Surface | Found::Field)));
         let guided = recording.steps[..left].iter().any(guided);
         Self { bounce: it.bounce, how, guided, on, lamp }
     }
 }
 
-/// What a place of a path is to an account.
+/// Returns the scatterer for a surface or medium at a vertex.
 pub fn on(prepared: &Prepared, place: Place) -> On {
     match place {
         Place::Surface { instance, primitive, material } => {
@@ -130,12 +130,12 @@ pub fn on(prepared: &Prepared, place: Place) -> On {
     }
 }
 
-/// A pixel as its file has it.
+/// A pixel in a file.
 #[derive(Clone, Copy, Debug)]
 pub struct Expected {
-    /// Samples that its mean is of.
+    /// Number of samples in its mean.
     pub samples: u32,
-    /// The mean, cd/m2.
+    /// Mean, cd/m2.
     pub color: [f32; 3],
 }
 
@@ -146,39 +146,39 @@ pub struct Brightest {
     pub pixel: (u32, u32),
     /// Number of the sample.
     pub sample: u32,
-    /// Its luminance, cd/m2.
+    /// Luminance of the contribution, cd/m2.
     pub luminance: f64,
     /// Mean luminance of the pixel's samples, cd/m2.
     pub mean: f64,
 }
 
-/// What comes from one origin.
+/// Statistics of one origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
-    /// Part of the variance of the block's mean luminance, cd2/m4; below 0 where it is dark when the rest is bright.
+    /// Part of the variance of the block's mean luminance, cd2/m4. It is negative if the origin is dark when the rest is bright.
     pub variance: f64,
     /// Part of the mean luminance, cd/m2.
     pub mean: f64,
-    /// Its brightest contribution.
+    /// Brightest contribution of the origin.
     pub brightest: Brightest,
 }
 
-/// The account of some pixels.
+/// Sources of variance of some pixels.
 #[derive(Clone, Debug, Default)]
 pub struct Account {
-    /// By origin.
+    /// Statistics by origin.
     pub parts: BTreeMap<Origin, Part>,
-    /// Variance of the pixels' means, each by its place: what they add to that of the block's mean, cd2/m4.
+    /// Pixels with their contributions to the variance of the block's mean, cd2/m4.
     pub pixels: Vec<((u32, u32), f64)>,
-    /// Samples that were traced.
+    /// Number of traced samples.
     pub samples: u64,
-    /// Pixels whose replayed mean is not that of the file: it does not say which samples it counts.
+    /// Number of pixels whose replayed mean differs from that in the file, because the file does not say which samples count.
     pub unlike: u64,
 }
 
 impl Account {
     /// Traces the samples of the pixels of `rect` again.
-    /// - `expected`: the pixel of a place as its file has it;
+    /// - `expected`: returns the pixel in the file;
     /// - `progress`: counts samples.
     pub fn of(
         prepared: &Prepared,
@@ -201,7 +201,7 @@ impl Account {
         whole
     }
 
-    /// Adds an account of other pixels of the same block, or of another block.
+    /// Adds the statistics of other pixels of the same block, or of another block.
     pub fn join(&mut self, other: Self) {
         for (origin, part) in other.parts {
             let both = |mine: &mut Part| {
@@ -218,12 +218,12 @@ impl Account {
         self.unlike += other.unlike;
     }
 
-    /// Variance of the block's mean luminance, cd2/m4, by the spread of the samples.
+    /// Returns the variance of the block's mean luminance, cd2/m4, estimated from the spread of the samples.
     pub fn variance(&self) -> f64 {
         self.pixels.iter().map(|(_, variance)| variance).sum()
     }
 
-    /// The same with all variances multiplied: to add up blocks of different brightness.
+    /// Multiplies all variances by a factor, to add up blocks of different brightness.
     #[must_use]
     pub fn scaled(mut self, factor: f64) -> Self {
         self.parts.values_mut().for_each(|part| part.variance *= factor);
@@ -271,7 +271,7 @@ impl Replayed {
 
     /// - `area`: pixels of the block.
     fn account(&self, area: f64) -> Account {
-        // Of a sample that counts.
+        // Color of a sample, if it counts.
         let color = |sample: u32| self.colors[sample as usize].filter(|_| self.counted.has(sample));
         let counted = (0..self.colors.len() as u32).filter_map(color);
         let values: Vec<f64> = counted.map(|color| f64::from(luminance(color))).collect();
@@ -300,7 +300,7 @@ impl Replayed {
     }
 }
 
-/// Whether two colors are the same up to the rounding of sums.
+/// Checks whether two colors are equal up to the rounding of sums.
 fn is_like(a: Rgb, b: [f32; 3]) -> bool {
     let b = Rgb::from_array(b);
     (a - b).abs().max_element() <= 1e-5 * a.max_element().max(b.max_element()) + f32::MIN_POSITIVE

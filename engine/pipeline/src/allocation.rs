@@ -1,56 +1,58 @@
-//! How the samples of a frame were divided among its tiles, to render it again.
+//! Allocation of the samples of a frame to its tiles, so that the frame can be rendered again.
 
 use crate::round::RoundVerdict;
 use crate::settings::MAX_SPP;
 use femc_film::{SampleRange, Stops, TileErrors, Tiling};
 use serde::{Deserialize, Serialize};
 
-/// The samples of each pixel of each tile.
+/// Number of samples of each pixel, by tile.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Allocation {
-    /// The first sample that counts.
+    /// First sample that counts.
     pub begin: u32,
-    /// Of each tile, in order, one past the last sample.
+    /// One past the last sample of each tile, in order.
     pub ends: Vec<u32>,
 }
 
-/// Why an allocation is none of a frame's.
+/// Reason why an allocation is not valid for a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AllocationError {
     /// A tile has no samples, or too many.
     #[error("an allocation of samples gives some tile none, or more than {MAX_SPP}")]
     Samples,
-    /// Of a film that is cut otherwise.
+    /// The film has another number of tiles.
     #[error("the allocation of samples is of {found} tiles; the film has {expected}")]
     Tiles {
-        /// Tiles of the allocation.
+        /// Number of tiles of the allocation.
         found: usize,
-        /// Tiles of the film.
+        /// Number of tiles of the film.
         expected: usize,
     },
 }
 
 impl Allocation {
-    /// Of a frame whose tiles have these samples; `None`: they do not begin at the same sample, or there is no tile.
+    /// Creates the allocation of a frame from the samples of its tiles. `None`: they do not begin at the same sample, or there is
+    /// no tile.
     pub fn of(samples: &[SampleRange]) -> Option<Self> {
         let begin = samples.first()?.start;
         let is_even = samples.iter().all(|range| range.start == begin);
         is_even.then(|| Self { begin, ends: samples.iter().map(|range| range.end).collect() })
     }
 
-    /// Refuses what no frame has.
+    /// Checks that a frame can have this allocation.
     pub(crate) fn check(&self) -> Result<(), AllocationError> {
         let is_some = |&end: &u32| end > self.begin && end <= MAX_SPP;
         if !self.ends.is_empty() && self.ends.iter().all(is_some) { Ok(()) } else { Err(AllocationError::Samples) }
     }
 
-    /// Refuses a film of another number of tiles.
+    /// Checks that the film has the same number of tiles.
     pub(crate) fn check_tiles(&self, tiling: &Tiling) -> Result<(), AllocationError> {
         let (found, expected) = (self.ends.len(), tiling.count());
         if found == expected { Ok(()) } else { Err(AllocationError::Tiles { found, expected }) }
     }
 
-    /// Samples a pixel at the end of each round: what is before the first sample that counts, or what all tiles have; then the rest.
+    /// Returns the samples a pixel at the end of each round: those before the first sample that counts, or those that all tiles
+    /// have; then the rest.
     pub(crate) fn rounds(&self) -> Vec<u32> {
         let (least, most) = (self.ends.iter().min().copied(), self.ends.iter().max().copied());
         let first = if self.begin > 0 { Some(self.begin) } else { least };
@@ -59,7 +61,7 @@ impl Allocation {
         rounds
     }
 
-    /// What follows the first round: all the rest.
+    /// Returns the verdict after the first round: all remaining samples.
     pub(crate) fn next(&self, tiles: &[TileErrors], stops: &mut Stops, may_go_on: bool) -> RoundVerdict {
         let is_whole = tiles.iter().zip(&self.ends).all(|(tile, &end)| tile.samples.end >= end);
         if is_whole || !may_go_on {

@@ -1,10 +1,10 @@
-//! Whether a first pass is worth what it takes.
+//! Choice between path tracing alone and a first pass.
 //!
-//! A pilot traces some paths of the job's first frame, which count in no image, and says two things: how much work the frame is, and how
-//! much of the samples' variance is in light that guides could find. Guides act where a path leaves a diffuse surface, so they can
-//! lessen the noise of light that was found after that, and of no other. Where a first pass would be a small part of the work and much of
-//! the noise is in such light, it is solved, and the same samples are drawn with its guides: they tell what is gained. Work
-//! is counted in rays, not in seconds: the choice depends on the job, not on the machine.
+//! A pilot traces some paths of the job's first frame, which do not count in any image. It estimates the work of the frame, and the
+//! part of the samples' variance that is in light which guides could find. Guides act where a path leaves a diffuse surface, so
+//! they can reduce only the noise of light found after that. If a first pass would be a small part of the work and much of the
+//! noise is in such light, the first pass is solved and the same samples are traced with its guides. They measure the gain. Work is
+//! counted in rays, not in seconds: the choice depends on the job, not on the machine.
 
 use crate::first_pass::first_pass_key;
 use crate::first_pass_steps::{first_pass_blocks, surfaces};
@@ -22,66 +22,67 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// Samples of each of a pilot's pixels that tell where variance comes from.
+/// Number of samples of each pixel of the pilot, to measure the variance.
 const SAMPLES: u32 = 32;
-/// Rounds after which the samples that an error takes are extrapolated, and the samples by then.
+/// Number of rounds after which the samples needed for an error are extrapolated, and the number of samples by then.
 const ROUNDS: u32 = 3;
 const ROUNDS_SAMPLES: u32 = 16;
-/// A pilot has at most this share of the samples that the job has at least.
+/// Maximum share of the pilot's samples in the minimum number of samples of the job.
 const SHARE: f64 = 0.05;
-/// A pilot of fewer pixels is not worth asking.
+/// Minimum number of pixels of a useful pilot.
 const FEWEST: f64 = 128.0;
 
-/// Work of a first pass, in rays of paths that take as long: at least, and for each surface.
+/// Work of a first pass, in rays of paths that take as long: a minimum, and an amount for each surface.
 const LEAST_RAYS: f64 = 7e6;
 const RAYS_OF_SURFACE: f64 = 1.5e3;
-/// A first pass is tried where it takes at most this share of the work of path tracing: it is solved twice, then.
+/// Maximum work of a first pass that is tried, as a share of the work of path tracing. It is then solved twice.
 const WORTH: f64 = 0.04;
-/// A pilot draws few samples; of many, which are spread more evenly, path tracing makes more than guides do. So it has to show that all work
-/// together is at most this share of path tracing's.
+/// Maximum work of guided rendering, including the first pass, as a share of path tracing's work. A pilot draws few samples. With
+/// many samples, which are spread more evenly, path tracing improves more than guided sampling does, so the pilot must show a clear
+/// gain.
 const GAINED: f64 = 0.8;
-/// A vertex at which guides draw directions takes as long as so many rays of a scene whose rays are quick.
+/// Work of a vertex at which guides sample directions, in rays of a scene whose rays are fast.
 const GUIDED_RAYS: f64 = 1.0;
-/// Least ratio of the samples' variance to that of the light which no guide can help.
+/// Minimum ratio of the samples' variance to the variance of the light that no guide can improve.
 const BOUND: f64 = 1.5;
 
-/// The method that a job is rendered with, and why.
+/// The method for a job, with the reason.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Choice {
     /// Path tracing alone, or guided by a first pass.
     pub method: Method,
-    /// What decided, in a sentence without its end.
+    /// Reason for the choice, as a sentence without a full stop.
     pub reason: String,
-    /// What a pilot has found; `None`: the job is too small for one.
+    /// Result of the pilot. `None`: the job is too small for one.
     pub pilot: Option<Pilot>,
 }
 
-/// What some paths of a job say of it.
+/// Estimates for a job from some of its paths.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pilot {
-    /// Samples that were drawn.
+    /// Number of samples traced.
     pub samples: u64,
     /// Work of a sample of path tracing, in rays.
     pub rays_a_sample: f64,
-    /// Samples a pixel that the frame is likely to take.
+    /// Expected number of samples a pixel of the frame.
     pub samples_a_pixel: f64,
-    /// Variance of the samples over that of the light in them which no guide can help: what guides gain at most.
+    /// Variance of the samples divided by that of their light which no guide can improve: the maximum gain of guides.
     pub most_gain: f64,
-    /// Variance times work of the samples over the same of guided ones; `None`: a first pass was not tried, or failed.
+    /// Variance times work of the samples, divided by that of guided ones. `None`: a first pass was not tried, or failed.
     pub gain: Option<f64>,
-    /// Reason why the first pass that was tried cannot be used.
+    /// Reason why the tested first pass cannot be used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub untrusted: Option<String>,
-    /// Rays of all frames by path tracing.
+    /// Number of rays of all frames with path tracing.
     pub rays: f64,
-    /// Work of the first passes that the frames share, in such rays.
+    /// Work of the first passes that the frames share, in the same rays.
     pub first_pass_rays: f64,
 }
 
-/// Why nothing was chosen.
+/// Reason why no method could be chosen.
 #[derive(Debug, thiserror::Error)]
 pub enum ChoiceError {
-    /// The frame could not be made ready.
+    /// The frame could not be prepared.
     #[error(transparent)]
     Prepare(#[from] PrepareError),
     /// A tile was not rendered.
@@ -90,7 +91,8 @@ pub enum ChoiceError {
 }
 
 /// Chooses the method of a job whose settings leave it open ([`Method::Auto`]).
-/// - `source`: the scene, overrides applied; `plan`: of `settings`.
+/// - `source`: the scene, overrides applied;
+/// - `plan`: plan of `settings`.
 pub fn choose(source: &Source, settings: &Settings, plan: &Plan) -> Result<Choice, ChoiceError> {
     let paths = |reason: &str| Choice { method: Method::Pt, reason: reason.to_owned(), pilot: None };
     if matches!(settings.stop, Stop::Time(_)) {
@@ -104,17 +106,17 @@ pub fn choose(source: &Source, settings: &Settings, plan: &Plan) -> Result<Choic
 }
 
 impl Pilot {
-    /// Work of the first passes, as a share of path tracing's.
+    /// Returns the work of the first passes as a share of path tracing's.
     fn share(&self) -> f64 {
         self.first_pass_rays / self.rays
     }
 
-    /// Whether guides could gain enough for a first pass to be tried.
+    /// Checks whether guides could gain enough to try a first pass.
     fn is_promising(&self) -> bool {
         self.most_gain >= BOUND && self.share() <= WORTH
     }
 
-    /// The method, and what decides.
+    /// Returns the method and the reason for it.
     fn choice(&self) -> (Method, String) {
         let work = 100.0 * self.share();
         let bounced = 100.0 * (1.0 - 1.0 / self.most_gain);
@@ -148,7 +150,8 @@ impl Pilot {
     }
 }
 
-/// Traces some paths of the first frame, and the same with guides where that may pay; `None`: the job is too small for that.
+/// Traces some paths of the first frame, and the same samples with guides if that may pay. `None`: the job is too small for a
+/// pilot.
 pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option<Pilot>, ChoiceError> {
     let settings = Settings { method: Method::Pt, statistics: false, ..settings.clone() };
     let Some(&frame) = plan.frames.first() else { return Ok(None) };
@@ -187,7 +190,7 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
         first_pass_rays,
     };
     if found.is_promising() {
-        // Now that more is known of the work, more pixels are worth it.
+        // The work is known better now and may justify more pixels.
         let all = samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
         let pixels = (SHARE * all / f64::from(2 * SAMPLES)).clamp(FEWEST, pilot::PIXELS);
         let settings = Settings { size: Some(pilot::film_of(film, pixels)), ..settings };
@@ -208,7 +211,7 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
     Ok(Some(found))
 }
 
-/// A message without what it says to do.
+/// Returns a message without its advice.
 fn without_advice(message: &str) -> &str {
     message.split_once(';').map_or(message, |(what, _)| what)
 }
@@ -216,15 +219,15 @@ fn without_advice(message: &str) -> &str {
 /// Samples of a pilot.
 struct Drawn {
     samples: u64,
-    /// Rays of a sample, mean, and what else takes as long.
+    /// Mean work of a sample, in rays, including guided vertices.
     work: f64,
     film: [u32; 2],
-    /// By row and column.
+    /// Pixels by row and column.
     pixels: Vec<PixelSums>,
 }
 
 impl Drawn {
-    /// Of all pixels of a frame.
+    /// Traces samples of all pixels of a frame.
     fn of(prepared: &Prepared, settings: &Settings) -> Result<Self, RenderError> {
         let [width, height] = prepared.camera.film;
         let whole = Rect { x: 0, y: 0, width, height };
@@ -237,7 +240,7 @@ impl Drawn {
         Ok(Self { samples, work: rays / samples as f64, film: [width, height], pixels })
     }
 
-    /// Variance of a sample over the pixel's squared mean, of all light over that of the rest.
+    /// Returns the relative variance of all light, divided by that of the light which no guide can improve.
     fn most_gain(&self) -> f64 {
         let weights = weights(&[self]);
         let sum =
@@ -246,7 +249,7 @@ impl Drawn {
         if all <= rest { 1.0 } else { (all / rest.max(1e-6 * all)).max(1.0) }
     }
 
-    /// Variance times work, over that of guided samples of the same pixels.
+    /// Returns variance times work, divided by that of guided samples of the same pixels.
     fn gain(&self, guided: &Self) -> f64 {
         let weights = weights(&[self, guided]);
         let sum = |of: &Self| of.pixels.iter().zip(&weights).map(|(it, w)| it.variance() * w).sum::<f64>() * of.work;
@@ -255,11 +258,12 @@ impl Drawn {
     }
 }
 
-/// Edge of the blocks whose means weigh their pixels, pixels.
+/// Edge of the blocks whose means weight their pixels, pixels.
 const BLOCK: u32 = 8;
 
-/// By pixel 1 over the squared mean of all samples of its block; a dark block has the weight of one of a tenth of the frame's mean. A pixel's
-/// own samples would say that a pixel of one bright sample is a bright pixel, and hide its variance.
+/// Returns the weight of each pixel: 1 over the squared mean of all samples of its block, to which a hundredth of the frame's
+/// squared mean is added, so that dark blocks do not dominate. A pixel's own samples are not used: a pixel with one bright sample
+/// would look bright, which would hide its variance.
 fn weights(all: &[&Drawn]) -> Vec<f64> {
     let Some([width, height]) = all.first().map(|drawn| drawn.film) else { return Vec::new() };
     let (across, down) = (width.div_ceil(BLOCK), height.div_ceil(BLOCK));
@@ -282,7 +286,7 @@ fn weights(all: &[&Drawn]) -> Vec<f64> {
     (0..all[0].pixels.len()).map(weight).collect()
 }
 
-/// Solutions of the first pass that the frames share.
+/// Returns the number of first-pass solutions that the frames share.
 fn solutions(source: &Source, settings: &Settings, plan: &Plan) -> Result<usize, PrepareError> {
     let blocks = first_pass_blocks(source.scene());
     let key = |&frame: &u32| Ok(first_pass_key(&frame_key(source, settings, frame)?, Method::Femc, blocks));
@@ -290,7 +294,7 @@ fn solutions(source: &Source, settings: &Settings, plan: &Plan) -> Result<usize,
     Ok(keys?.len())
 }
 
-/// Sums of the luminance of a pixel's samples, by half: of all light and of the light that no guide can help.
+/// Sums of the luminance of a pixel's samples, by half: of all light, and of the light that no guide can improve.
 #[derive(Clone, Copy, Debug, Default)]
 struct PixelSums {
     counts: [f64; 2],
@@ -307,8 +311,8 @@ impl PixelSums {
         self.of_mean(self.rest)
     }
 
-    /// Of the mean, by its halves, which are independent: samples of one half are spread evenly, and by how much that helps depends on how
-    /// their directions are drawn. Times the samples.
+    /// Returns the variance of the mean, multiplied by the number of samples. It uses the two halves, which are independent. The
+    /// samples of one half are evenly spread, and the benefit of that depends on how their directions are sampled.
     fn of_mean(&self, sums: [f64; 2]) -> f64 {
         let [a, b] = [0, 1].map(|half| sums[half] / self.counts[half]);
         let variance = self.counts.iter().sum::<f64>() * (0.5 * (a - b)).powi(2);
@@ -316,14 +320,14 @@ impl PixelSums {
     }
 }
 
-/// Hears by pixel how much of the samples' light came by way of a diffuse surface.
+/// Recorder that measures, by pixel, how much of the samples' light arrived by way of a diffuse surface.
 #[derive(Debug, Default)]
 struct PixelNoise {
     pixel: Option<u32>,
     half: usize,
     now: PixelSums,
     done: Vec<PixelSums>,
-    /// Times that the path has left a diffuse surface, and luminance that a guide could have found.
+    /// Number of times that the path has left a diffuse surface, and luminance that a guide could have found.
     scattered: u32,
     guidable: f64,
 }
@@ -360,7 +364,7 @@ impl Recorder for PixelNoise {
 
     fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
         let contribution = contribution();
-        // A lamp that is met from the first surface is direct light: it is drawn from there, too.
+        // A lamp that is hit from the first surface is direct light: it is also sampled from there.
         let before = u32::from(contribution.found == Found::Met);
         if self.scattered > before {
             self.guidable += f64::from(luminance(contribution.color));
@@ -408,7 +412,7 @@ mod tests {
         assert_eq!(chosen(&source, [320, 240], Stop::Time(60.0)).method, Method::Pt);
     }
 
-    /// An error asks for samples; the pilot says about how many.
+    /// With an error as the stop, the pilot estimates the number of samples.
     #[test]
     fn an_error_is_worth_as_much_as_the_samples_that_it_takes() {
         let source = source("door-ajar");
@@ -418,7 +422,7 @@ mod tests {
         assert_eq!((coarse.method, fine.method), (Method::Pt, Method::Femc));
     }
 
-    /// A white floor under a small lamp, in the open: what light has left it comes to nothing else.
+    /// A white floor under a small lamp, in the open: light that leaves the floor reaches nothing else.
     #[test]
     fn a_scene_without_light_by_way_of_surfaces_is_left_to_paths() {
         let text = "camera main =\n\torigin 0 -3 2\n\ttarget 0 0 0\n\tfov 40\n\tfilm 64 64\nm white =\n\tsides 2\n\tc\n\trd 0.8\n\

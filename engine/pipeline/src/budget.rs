@@ -1,40 +1,41 @@
-//! A frame that has a time: how many samples each tile gets, by the clock and by what samples bring.
+//! Division of samples among tiles for a frame with a time limit, from the clock and the benefit of samples.
 //!
-//! Every tile gets 1 sample a pixel, then 4. These are a **pilot**. It says how the others are divided: the mean of the squared relative
-//! errors of the blocks, for a given number of rays, is least where a tile has samples in proportion to its relative standard deviation
-//! over the square root of what a sample costs (\[neyman1934\]). Costs are counted in rays, so the division is a function of the samples.
-//! The clock only says how many there are in all: by the rays of the round before and the seconds that they took.
+//! Every tile gets 1 sample a pixel, then 4. These are a **pilot**, which determines how the other samples are divided. For a given
+//! number of rays, the mean of the squared relative errors of the blocks is least if each tile has samples in proportion to its
+//! relative standard deviation over the square root of the cost of a sample (\[neyman1934\]). Costs are counted in rays, so the
+//! division is a function of the samples. The clock only determines the total number of samples, from the rays of the round before
+//! and the seconds that they took.
 //!
-//! **The pilot does not count in the image.** A tile whose pilot has missed a rare bright path gets fewer samples than it should; if
-//! the pilot counted there, too, it would count for more than in a tile that has met one, and images would be too dark. Behind the
-//! pilot nothing looks at samples any more: each tile's number is a share that is fixed, times a number that the clock says for the
-//! whole frame. Where the pilot is more than an eighth of what there is time for, all tiles get equally many samples instead, and all
-//! of them count.
+//! **The pilot does not count in the image.** A tile whose pilot missed a rare bright path gets fewer samples than it should. If
+//! the pilot counted there, too, it would have a greater weight than in a tile that found such a path, and images would be too
+//! dark. After the pilot no decision depends on samples: the number of each tile is a fixed share, times a number from the clock
+//! for the whole frame. If the pilot is more than an eighth of the work that fits into the time, all tiles get equal numbers of
+//! samples instead, and all of them count.
 
 use crate::round::RoundVerdict;
 use crate::settings::MAX_SPP;
 use femc_film::stops::Pace;
 use femc_film::{Stops, TileErrors};
 
-/// Samples a pixel of the pilot.
+/// Number of samples a pixel of the pilot.
 pub(crate) const PILOT: u32 = 4;
-/// Most that a pilot may be of what there is time for behind it.
+/// Maximum share of the pilot in the work that fits into the time after it.
 const PILOT_SHARE: f64 = 0.125;
-/// The pilot is drawn if it would end by this share of the time.
+/// Maximum share of the time at which the pilot may end. If it would end later, it is not traced.
 const PILOT_END: f64 = 0.6;
-/// Where more is left than [`LAST`] of the time, a round takes so much of it: the next one corrects its clock.
+/// Share of the remaining time for a round, if more than [`LAST`] of the time is left. The next round corrects its clock.
 const ROUND: f64 = 0.7;
-/// Where no more is left than this share of the time, a round takes all of it.
+/// Remaining share of the time up to which a round uses all of it.
 const LAST: f64 = 0.15;
-/// Where no more is left than this share of the time, the frame is done.
+/// Remaining share of the time up to which the frame is done.
 const ENOUGH: f64 = 0.012;
-/// Least and most samples of a tile, as shares of the mean: the pilot is a guess.
+/// Range of the samples of a tile, as shares of the mean. The limits exist because the pilot is a guess.
 const SHARES: std::ops::RangeInclusive<f64> = 0.25..=16.0;
-/// Seconds a pixel of a round beside its rays, uniting the tiles and deciding: before they are measured, and at most. What else makes a
-/// pilot slow is that it is the first to need the scene.
+/// Seconds per pixel of a round apart from its rays, for uniting the tiles and deciding. It is used until they are measured, and as
+/// a maximum. The pilot is also slower because it is the first to load the scene.
 const ROUND_SECONDS: f64 = 2.5e-6;
 
-/// What follows a round of a frame that has `seconds`.
+/// Returns the verdict after a round of a frame with a time limit of `seconds`.
 /// - `so_far`: seconds from the frame's first lease until now;
 /// - `may_go_on`: whether another round may follow.
 pub(crate) fn next(
@@ -48,7 +49,7 @@ pub(crate) fn next(
     let work: u64 = tiles.iter().map(|tile| tile.work).sum();
     let drawn = tiles.iter().map(|tile| tile.samples.end).max().unwrap_or(0);
     let now = Clock::of(pace, so_far, work, tiles);
-    // Behind a round its tiles are united; behind the last one the image is made, which takes about as long.
+    // After a round its tiles are united. After the last one the image is made, which takes about as long.
     let left = seconds - so_far - 2.0 * now.round;
     if !may_go_on || left <= ENOUGH * seconds {
         return RoundVerdict::Done;
@@ -76,16 +77,17 @@ pub(crate) fn next(
     if is_more { RoundVerdict::Steps(steps) } else { RoundVerdict::Done }
 }
 
-/// How fast a frame is rendered.
+/// Rendering speed of a frame.
 struct Clock {
-    /// Rays a second.
+    /// Rays per second.
     rate: f64,
-    /// Seconds of a round beside its rays.
+    /// Seconds of a round apart from its rays.
     round: f64,
 }
 
 impl Clock {
-    /// By the last round and by the pilot's, which had fewer rays: seconds grow with rays, from what a round takes without any.
+    /// Estimates the speed from the last round and the pilot's, which had fewer rays: seconds grow linearly with rays, from a fixed
+    /// time per round.
     fn of(before: &Pace, so_far: f64, work: u64, tiles: &[TileErrors]) -> Self {
         let (seconds, rays) = ((so_far - before.seconds).max(1e-3), work.saturating_sub(before.work) as f64);
         let (short, few) = (before.pilot.0, before.pilot.1 as f64);
@@ -95,18 +97,18 @@ impl Clock {
             let round = ((short * rays - seconds * few) / (rays - few)).min(0.5 * seconds).clamp(0.0, most);
             return Self { rate: rays / (seconds - round), round };
         }
-        // What is not known is taken to be slow: a round that was too short is followed by another.
+        // Unknown speed is assumed to be slow: a round that was too short is followed by another.
         Self { rate: rays / seconds, round: most }
     }
 }
 
-/// The samples of each tile as shares of the mean tile's, by the pilot.
+/// Returns the samples of each tile as shares of the mean tile's, from the pilot.
 fn shares(tiles: &[TileErrors]) -> Vec<f64> {
     let [a, b] = Stops::first(tiles).floors;
     let found: Vec<Option<f64>> = tiles.iter().map(|tile| worth(tile, 0.5 * (a + b))).collect();
     let known = || found.iter().flatten();
     let mean = known().sum::<f64>() / known().count().max(1) as f64;
-    // Of a tile of which nothing is known: no more than of others.
+    // A tile without data gets the mean share.
     let share = |worth: Option<f64>| worth.map_or(1.0, |worth| worth / mean);
     found.into_iter().map(|worth| Some(share(worth)).filter(|it| it.is_finite()).unwrap_or(1.0)).map(clamp).collect()
 }
@@ -115,14 +117,14 @@ fn clamp(share: f64) -> f64 {
     share.clamp(*SHARES.start(), *SHARES.end())
 }
 
-/// Relative standard deviation of the blocks of a tile over the square root of the rays of a sample of a pixel; `None`: the pilot has met
-/// no light.
+/// Returns the relative standard deviation of the blocks of a tile over the square root of the rays of a sample of a pixel. `None`:
+/// the pilot found no light.
 fn worth(tile: &TileErrors, floor: f64) -> Option<f64> {
     let (mut squares, mut pixels) = (0.0, 0.0);
     for block in tile.blocks.iter().map(|it| it.block) {
         let area = block.rect.area() as f64;
         let relative = block.variance.sqrt() / area / (block.sum / area).max(floor);
-        // The variance of a block's mean falls with its area, by which it is weighted: what is left is a pixel's.
+        // The variance of a block's mean falls with its area, and the weight is the area, so the result is the variance of a pixel.
         if relative.is_finite() {
             squares += relative * relative * area * area;
         }
@@ -133,11 +135,11 @@ fn worth(tile: &TileErrors, floor: f64) -> Option<f64> {
     (worth > 0.0).then_some(worth)
 }
 
-/// Samples a pixel of each tile in all, so that the further ones cost so many rays: each tile has its share.
+/// Returns the total samples a pixel of each tile, so that the additional ones cost `rays` rays and each tile has its share.
 fn divide(rays: f64, tiles: &[TileErrors], pace: &Pace) -> Vec<u32> {
     let begin = f64::from(pace.begin);
     let cost: Vec<f64> = tiles.iter().map(|it| it.work as f64 / f64::from(it.samples.len().max(1))).collect();
-    // Behind the pilot each tile has a sample that counts.
+    // After the pilot each tile has at least one sample that counts.
     let least = |tile: &TileErrors| tile.samples.end.max(pace.begin + u32::from(pace.begin > 0)).min(MAX_SPP);
     let ideal = |mean: f64, (share, tile): (&f64, &TileErrors)| {
         (begin + mean * share).clamp(f64::from(least(tile)), f64::from(MAX_SPP))
@@ -154,7 +156,7 @@ fn divide(rays: f64, tiles: &[TileErrors], pace: &Pace) -> Vec<u32> {
         let middle = 0.5 * (low + high);
         if rays_of(middle) < rays { low = middle } else { high = middle }
     }
-    // Whole numbers whose sum is about that of the ideal ones: each is rounded up where its place in the golden ratio's sequence says so.
+    // Rounds to whole numbers with nearly the ideal sum: the fractional threshold of a tile follows the golden ratio sequence.
     let golden = 0.5 * (5f64.sqrt() - 1.0);
     let round = |(place, it): (usize, (&f64, &TileErrors))| {
         let steps = (ideal(low, it) + (place as f64 * golden).fract()).floor() as u32;
@@ -170,7 +172,7 @@ mod tests {
     use femc_film::tile::OPEN;
     use femc_film::{Block, HalfBlock, Rect, TileBlock};
 
-    /// A tile of one block of 256 pixels of luminance 1: variance of a pixel's sample, rays of a pixel's sample.
+    /// A tile of one block of 256 pixels with luminance 1: variance of a pixel's sample, rays of a pixel's sample.
     #[derive(Clone, Copy)]
     struct Model {
         variance: f64,
@@ -180,17 +182,17 @@ mod tests {
     /// A machine and the tiles that it renders.
     struct World {
         tiles: Vec<Model>,
-        /// Rays a second.
+        /// Rays per second.
         rate: f64,
         /// Seconds until the first ray.
         before: f64,
-        /// Seconds of a round beside its rays, and of the image.
+        /// Seconds of a round apart from its rays, and of the image.
         round: f64,
     }
 
     struct Ended {
         seconds: f64,
-        /// Samples of each tile that count.
+        /// Number of samples of each tile that count.
         counted: Vec<u32>,
         begin: u32,
         rounds: usize,

@@ -1,4 +1,4 @@
-//! The first pass as a piece of work of its own: what its solution depends on, and the solution as bytes.
+//! The first pass as a separate task: the inputs of its solution, and the solution as bytes.
 
 use crate::render::{RenderError, spec};
 use crate::settings::{Method, Settings};
@@ -9,10 +9,11 @@ use femc_scene::FrameKey;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// Greatest error of a link where the solution guides paths: it need not be right, only know where light comes from.
+/// Maximum error of a link if the solution guides paths. Such a solution need not be exact; it only has to know where light comes
+/// from.
 const GUIDING: f32 = 1.0;
 
-/// How exact every solution of a method is, what it may take, and what it is for.
+/// Returns the accuracy, limits and purpose of all solutions of a method.
 pub(crate) fn options(method: Method) -> Options {
     match method {
         Method::Femc => Options { error: GUIDING, guides: true, ..Options::default() },
@@ -20,8 +21,8 @@ pub(crate) fn options(method: Method) -> Options {
     }
 }
 
-/// Solves the finite-element first pass of a prepared frame: its light, and what it took. It depends on what
-/// [`first_pass_key`] is a digest of, and on nothing else.
+/// Solves the finite-element first pass of a prepared frame. Returns its light and a report of the work. The result depends only on
+/// the inputs of the digest [`first_pass_key`].
 /// - errors: `cancel` was set, or the solution cannot be trusted.
 pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> Result<Solution, RenderError> {
     let solution = femc_radiosity::solve(prepared, &options(method), cancel).map_err(|_| RenderError::Cancelled)?;
@@ -29,8 +30,8 @@ pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> R
     Ok(solution)
 }
 
-/// The world of a frame as its first pass has it: with lamps of brightness 1. Frames with equal keys ([`first_pass_key`]) have the same one,
-/// and the light of each is that of this one, as bright as its lamps are ([`brightened`]).
+/// Returns the world of a frame for its first pass: with lamps of brightness 1. Frames with equal keys ([`first_pass_key`]) have
+/// the same world, and the light of each frame is that of this world, scaled to the brightness of its lamps ([`brightened`]).
 pub fn first_pass_world(
     source: &Source,
     settings: &Settings,
@@ -40,15 +41,17 @@ pub fn first_pass_world(
     femc_prepared::prepare_of_brightness_one(source, &spec(settings, frame), previous)
 }
 
-/// What the first pass of a [`first_pass_world`] has found, for a frame.
-/// - `brightness`: of the frame's lamps.
+/// Scales the light of a [`first_pass_world`] for a frame.
+/// - `brightness`: brightness of the frame's lamps.
 pub fn brightened(field: Arc<Field>, brightness: f32) -> Arc<Field> {
     if brightness == 1.0 { field } else { Arc::new(Arc::unwrap_or_clone(field).times(brightness)) }
 }
 
-/// Digest of all that a solution depends on: the frame's world around its origin, but for how bright all lamps are together, and the options of
-/// the method's first pass. Neither film, camera, seed nor samples: frames with equal keys share the solution.
-/// - `blocks`: of [`first_pass_blocks`](crate::first_pass_blocks). They change no bit of the solution, but who shares it shares the tasks that it is made by.
+/// Computes the digest of all inputs of a solution: the frame's world around its origin, except for the common brightness of all
+/// lamps, and the options of the method's first pass. Film, camera, seed and samples are not included: frames with equal keys share
+/// the solution.
+/// - `blocks`: value of [`first_pass_blocks`](crate::first_pass_blocks). It changes no bit of the solution, but frames that share
+///   the solution also share the tasks that compute it.
 pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
     let Options { error, memory, guides } = options(method);
     let mut hasher = blake3::Hasher::new();
@@ -63,7 +66,7 @@ pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8;
     *hasher.finalize().as_bytes()
 }
 
-/// A solution as bytes: [`Field::decode`] reads them.
+/// Encodes a solution as bytes, for [`Field::decode`].
 pub fn encode_solution(solution: &Solution) -> Vec<u8> {
     let Report {
         elements,
@@ -95,8 +98,8 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
     solution.field.encode(&statistics)
 }
 
-/// Gives a frame the light that the first pass of its world has found.
-/// - errors: it is the light of other surfaces.
+/// Assigns the light of the first pass to a frame.
+/// - errors: the light belongs to other surfaces.
 pub fn light(prepared: &mut Prepared, field: Arc<Field>) -> Result<(), OtherWorld> {
     if !field.fits(prepared.instances.iter().map(|group| group.compiled.primitives.len())) {
         return Err(OtherWorld);
@@ -105,7 +108,7 @@ pub fn light(prepared: &mut Prepared, field: Arc<Field>) -> Result<(), OtherWorl
     Ok(())
 }
 
-/// A field is not one of a frame's surfaces.
+/// Error: a field does not match a frame's surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the light of the first pass is of other surfaces than the frame's")]
 pub struct OtherWorld;

@@ -1,7 +1,7 @@
-//! The first pass as many pieces of work: the steps of [`femc_radiosity`] by a method's options, and in how many blocks they are cut.
+//! The first pass as many tasks: the steps of [`femc_radiosity`] with a method's options, and the number of blocks.
 //!
-//! A small scene is solved by one task. Of larger ones rays, and what is known of where light comes from, are made in blocks, which are
-//! tasks of their own; what lies between, one task does. The result is the same to the bit.
+//! One task solves a small scene. For larger scenes, rays and guides are computed in blocks, which are separate tasks. One task
+//! does the steps between. The result is the same to the bit.
 
 use crate::first_pass::options;
 use crate::render::RenderError;
@@ -12,23 +12,23 @@ use femc_radiosity::{Aimed, Found, Settled, Sights, Underway};
 use femc_scene::Scene;
 use std::sync::atomic::AtomicBool;
 
-/// Times that rays are cast.
+/// Number of times that rays are cast.
 const ROUNDS: u32 = femc_radiosity::ROUNDS;
 
-/// Surfaces of a block, and most blocks.
+/// Number of surfaces of a block, and maximum number of blocks.
 const SURFACES: u64 = 64;
 const MOST_BLOCKS: u64 = 32;
-/// Blocks that are worth it.
+/// Minimum number of blocks that is worth the split.
 const LEAST_BLOCKS: u64 = 4;
 
-/// Into how many blocks the first pass of a scene is cut; 1: it is one task. By the surfaces that the scene is made of, each as often as it
-/// is placed: whatever time, overrides and camera are, a scene is cut alike.
+/// Returns the number of blocks of a scene's first pass; 1: it is one task. The number depends on the surfaces of the scene, each
+/// counted as often as it is placed. It is the same for all times, overrides and cameras.
 pub fn first_pass_blocks(scene: &Scene) -> u32 {
     let blocks = surfaces(scene) / SURFACES;
     if blocks < LEAST_BLOCKS { 1 } else { blocks.min(MOST_BLOCKS) as u32 }
 }
 
-/// Faces and curved surfaces, each as often as it is placed.
+/// Counts faces and curved surfaces, each as often as it is placed.
 pub fn surfaces(scene: &Scene) -> u64 {
     let mut known = vec![None; scene.groups.len()];
     count(scene, 0, &mut known)
@@ -46,19 +46,19 @@ fn count(scene: &Scene, group: usize, known: &mut [Option<u64>]) -> u64 {
     sum
 }
 
-/// The blocks of a job's first pass, by its stages; 1: it is one task, or there is none.
+/// Returns the number of blocks of a job's first pass, from its stages; 1: it is one task, or there is none.
 pub fn blocks_of(stages: &[Stage]) -> u32 {
     let blocks = stages.iter().filter(|stage| stage.kind == StageKind::FirstPassBlock);
     blocks.flat_map(|stage| &stage.sizes).map(|(count, _)| *count).max().unwrap_or(1)
 }
 
-/// The stages of a job whose first pass is cut into so many blocks; one without a first pass stays as it is.
+/// Returns the stages of a job with its first pass split into `blocks` blocks. A job without a first pass stays unchanged.
 pub fn in_blocks(stages: Vec<Stage>, method: Method, blocks: u32) -> Vec<Stage> {
     if blocks <= 1 || stages.first().is_none_or(|stage| stage.kind != StageKind::FirstPass) {
         return stages;
     }
     let mut all = steps(method, blocks);
-    // The last of them makes what the first stage of `stages` does.
+    // The last one makes the outputs of the first stage of `stages`.
     let more = all.len() as u16 - 1;
     all.extend(stages.into_iter().skip(1).map(|stage| Stage {
         needs: stage.needs.into_iter().map(|need| Need { stage: need.stage + more, ..need }).collect(),
@@ -74,7 +74,7 @@ fn steps(method: Method, blocks: u32) -> Vec<Stage> {
     let one = |makes: &[Role]| of(StageKind::FirstPass, 1, makes);
     let block = |makes: &[Role]| of(StageKind::FirstPassBlock, blocks, makes);
     let mut all = vec![one(&[Role::Elements, Role::Links])];
-    // The stages that made the latest elements and guides.
+    // Stages that make the latest elements and guides.
     let (mut elements, mut guides) = (0, None);
     for round in 1..=ROUNDS {
         let begin = |stage: Stage| {
@@ -104,20 +104,20 @@ fn steps(method: Method, blocks: u32) -> Vec<Stage> {
     all
 }
 
-/// All elements and links of a prepared frame: the first step.
+/// Creates all elements and links of a prepared frame, as the first step.
 /// - errors: `cancel` was set.
 pub fn begin(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> Result<Underway, RenderError> {
     Underway::begin(prepared, &options(method), cancel).map_err(|_| RenderError::Cancelled)
 }
 
-/// Makes ready for rays.
-/// - `found`: what the blocks before have found, in order; none before the first rays.
+/// Prepares the state for casting rays.
+/// - `found`: results of the blocks of the round before, in order; none before the first rays.
 pub fn aim(underway: Underway, prepared: &Prepared, method: Method, found: Vec<Found>) -> Aimed {
     underway.aim(prepared, &options(method), found)
 }
 
-/// Takes in what the rays of all blocks, in order, have met.
-/// - returns `None` if they are those of other elements;
+/// Applies the ray hits of all blocks, in order.
+/// - returns `None` if the hits belong to other elements;
 /// - errors: `cancel` was set.
 pub fn settle(
     aimed: &Aimed,
@@ -172,7 +172,7 @@ mod tests {
         assert_eq!(in_blocks(paths.clone(), Method::Pt, 7), paths);
     }
 
-    /// A wall with a gap, a lamp behind it, a sphere, and fog: patches, curved elements, clusters, boxes.
+    /// A wall with a gap, a lamp behind it, a sphere, and fog. It gives patches, curved elements, clusters and boxes.
     const SCENE: &str = "camera main =\n  origin 0 -1.5 1\n  target 0 0 1\n  fov 60\n  film 8 8\n
 medium haze =\n  sigma_s 0.1\nmbox haze -2 -2 0 2 2 2\n
 m gray =\n  c\n  rd 0.6\n  sides 2\nm bright =\n  c\n  ed 2000\n
@@ -195,7 +195,7 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
 
     static CANCEL: AtomicBool = AtomicBool::new(false);
 
-    /// All steps, each of which knows nothing but the bytes that the ones before have made.
+    /// Runs all steps. Each step receives only the bytes of the steps before.
     fn stepped(prepared: &Prepared, method: Method, blocks: u32) -> Vec<u8> {
         let begun = begin(prepared, method, &CANCEL).unwrap();
         let (mut elements, links) = (begun.encode_elements(), begun.encode_links());

@@ -1,4 +1,4 @@
-//! A frame rendered in the caller's process, without a farm: round by round, by the rules that the farm's decisions follow.
+//! Rendering of a frame in the caller's process, without a farm: round by round, with the farm's decision rules.
 
 use crate::render::{RenderError, render_tile};
 use crate::round::RoundVerdict;
@@ -9,35 +9,36 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// A frame and the work it took.
+/// A frame and its work.
 #[derive(Debug)]
 pub struct RenderedFrame {
-    /// The samples that count, those after a tile's end held.
+    /// Samples that count. Samples after the end of a tile are held.
     pub frame: Frame,
-    /// Samples that were drawn, of all pixels, whether they count or not.
+    /// Number of samples traced, over all pixels, whether they count or not.
     pub samples: u64,
-    /// Rays traced for them.
+    /// Number of rays traced for them.
     pub rays: u64,
 }
 
-/// The end of a round, at which it is decided what follows.
+/// State at the end of a round, from which the next step is decided.
 #[derive(Debug)]
 pub struct RoundEnd<'a> {
-    /// The errors of all tiles, in order.
+    /// Errors of all tiles, in order.
     pub tiles: &'a [TileErrors],
-    /// What the decision before left; `None`: this is the first one.
+    /// State left by the decision before. `None`: this is the first one.
     pub before: Option<Stops>,
-    /// Rays traced so far.
+    /// Number of rays traced so far.
     pub rays: u64,
-    /// Samples a pixel at the end of the next round; `None`: this was the last one.
+    /// Samples a pixel at the end of the next round. `None`: this was the last one.
     pub next: Option<u32>,
 }
 
-/// Renders a frame by its settings, on the calling thread's rayon pool.
-/// - `tiling`, `rounds`: of the frame's plan;
-/// - `seconds`: since the frame's beginning, from the rays traced so far, for [`Stop::Time`](crate::Stop::Time) alone;
+/// Renders a frame with its settings, on the calling thread's rayon pool.
+/// - `tiling`, `rounds`: values of the frame's plan;
+/// - `seconds`: returns the seconds since the frame's beginning from the rays traced so far, only for
+///   [`Stop::Time`](crate::Stop::Time);
 /// - `cancel`, `progress`: as for [`render_tile`].
-/// - errors: cancelled, or the plan is not of these settings.
+/// - errors: cancelled, or the plan does not belong to these settings.
 pub fn render_frame(
     prepared: &Prepared,
     settings: &Settings,
@@ -51,11 +52,11 @@ pub fn render_frame(
     by_rounds(tiling, rounds, draw, |end| settings.verdict(end.tiles, end.before, seconds(end.rays), end.next))
 }
 
-/// Draws a frame round by round, as a rule says.
+/// Draws a frame round by round, with a decision rule.
 /// - `rounds`: samples a pixel at the end of each round;
-/// - `draw`: samples of a tile, on many threads at once;
-/// - `decide`: what follows a round.
-/// - errors: those of `draw`, and tiles that are not of the frame or of its samples.
+/// - `draw`: renders samples of a tile, on many threads at once;
+/// - `decide`: returns the verdict after a round.
+/// - errors: those of `draw`, and tiles that do not belong to the frame or to its samples.
 pub fn by_rounds<E: From<FilmError> + Send>(
     tiling: Tiling,
     rounds: &[u32],

@@ -1,7 +1,7 @@
-//! The facade of the engine: settings, what would run, frames made ready, tiles rendered.
+//! Facade of the engine: settings, plans, prepared frames, and rendered tiles.
 //!
-//! A frame is cut into tiles and its samples into rounds; a task renders one tile's samples of one round. Which samples a
-//! task holds is a function of the settings alone, so the frame does not depend on who renders what, or when.
+//! A frame is split into tiles and its samples into rounds. A task renders one tile's samples of one round. The samples of a task
+//! are a function of only the settings, so the frame does not depend on which worker renders which task, or when.
 #![deny(missing_docs)]
 
 pub mod account;
@@ -38,8 +38,8 @@ pub use layers::{
 };
 pub use plan::{FIRST_PASS, LeftOut, Plan, PlanError, plan};
 pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, prepare_world, render_tile};
-/// Names the build of the engine: of two programs that say the same, the same job gives the same bits (`build.rs` says what is in
-/// the name, `tests/builds` compares).
+/// Name of the engine build. Two programs with the same name compute the same bits for the same job (`build.rs` defines the name,
+/// `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");
 
 pub use femc_paths as paths;

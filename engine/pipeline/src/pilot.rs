@@ -1,7 +1,7 @@
-//! How many samples a frame is likely to need: the frame at a few pixels, rendered by the rule of the whole one.
+//! Estimate of the samples that a frame needs, from a render of the frame at a few pixels with the rule of the whole frame.
 //!
-//! A block of 16 x 16 pixels of a smaller film sees more of the scene, at about the noise of a block of the large one: the mean of
-//! the samples that its blocks need is about that of the frame's. It is an estimate and no bound.
+//! A block of 16 x 16 pixels of a smaller film covers more of the scene, at about the noise of a block of the large one. The mean
+//! of the samples that its blocks need is about that of the frame's. It is an estimate, not a bound.
 
 use crate::in_process::by_rounds;
 use crate::render::{RenderError, render_tile};
@@ -11,26 +11,27 @@ use femc_film::{TileErrors, Tiling};
 use femc_prepared::Prepared;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// Pixels of a pilot, about: 15 blocks.
+/// Approximate number of pixels of a pilot: 15 blocks.
 pub(crate) const PIXELS: f64 = 3840.0;
 /// Edge of a block and of a tile, pixels.
 const EDGE: u32 = 16;
 
-/// Film of a pilot for a film of this size, pixels.
+/// Returns the film of a pilot for a film of this size, pixels.
 pub fn film(size: [u32; 2]) -> [u32; 2] {
     film_of(size, PIXELS)
 }
 
-/// The same of about so many pixels.
+/// Returns a film of the same shape with about `pixels` pixels.
 pub(crate) fn film_of([width, height]: [u32; 2], pixels: f64) -> [u32; 2] {
     let scale = (pixels / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
     [width, height].map(|edge| ((f64::from(edge) * scale).round() as u32).clamp(1, edge.max(1)))
 }
 
-/// Samples a pixel, on average, that tiles are likely to need for [`Stop::Error`]; `None` for other stops.
-/// - `prepared`: of `settings` at the size [`film`];
-/// - `is_over`: looked at after each round; what is missing by then is extrapolated, for errors fall with the root of the samples.
-/// - errors: the film is no film.
+/// Estimates the mean number of samples a pixel that tiles need for [`Stop::Error`]. `None` for other stops.
+/// - `prepared`: frame of `settings` at the size [`film`];
+/// - `is_over`: polled after each round. If it ends early, the missing samples are extrapolated: errors fall with the root of the
+///   samples.
+/// - errors: the film is invalid.
 pub fn likely_samples(
     prepared: &Prepared,
     settings: &Settings,

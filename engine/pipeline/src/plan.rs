@@ -1,4 +1,4 @@
-//! What would run, and what is left out and why.
+//! Plans: the stages that run, and the features that are left out, with reasons.
 
 use crate::first_pass_steps::{first_pass_blocks, in_blocks};
 use crate::layers::{feature_layout, unknown_label};
@@ -11,71 +11,71 @@ use serde::{Deserialize, Serialize};
 /// The plan of a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
-    /// Camera.
+    /// Name of the camera.
     pub camera: String,
-    /// The film, cut into tiles.
+    /// Film, split into tiles.
     pub tiling: Tiling,
     /// Samples a pixel at the end of each round.
     pub rounds: Vec<u32>,
     /// Frames of the clip to render, ascending.
     pub frames: Vec<u32>,
-    /// The method chosen.
+    /// Chosen method.
     pub method: Method,
-    /// What runs: each stage is named by its place.
+    /// Stages that run. Each stage is identified by its index.
     pub stages: Vec<Stage>,
-    /// What is left out.
+    /// Features that are left out.
     pub left_out: Vec<LeftOut>,
 }
 
-/// Something that does not run.
+/// A feature that does not run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeftOut {
     /// Name of the feature that does not run.
     pub what: String,
-    /// Reason for which it does not run.
+    /// Reason why it does not run.
     pub reason: String,
 }
 
-/// What a plan leaves out where paths are traced alone.
+/// Name of the feature that a plan leaves out for path tracing alone.
 pub const FIRST_PASS: &str = "finite-element first pass";
 
-/// Why there is no plan.
+/// Reason why there is no plan.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     /// Settings out of their domains.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-    /// The camera is missing or wrong.
+    /// The camera is missing or invalid.
     #[error(transparent)]
     Camera(#[from] femc_prepared::PrepareError),
     /// The film is too large.
     #[error(transparent)]
     Film(#[from] FilmError),
-    /// A frame is outside of the clip.
+    /// A frame is outside the clip.
     #[error("frame {frame} is outside of the clip, which has frames 1 to {last}")]
     FrameOutside {
-        /// The frame asked for.
+        /// Requested frame.
         frame: u32,
-        /// The last frame.
+        /// Last frame of the clip.
         last: u32,
     },
-    /// No frame at all.
+    /// There is no frame to render.
     #[error("no frames are left to render; give --frames A..B within 1..{last}")]
     NoFrames {
-        /// The last frame.
+        /// Last frame of the clip.
         last: u32,
     },
 }
 
 impl Plan {
-    /// Camera samples of one frame after `rounds` rounds.
+    /// Returns the number of camera samples of one frame after `rounds` rounds.
     pub fn samples_per_frame(&self, rounds: usize) -> u64 {
         let spp = self.rounds.get(rounds.saturating_sub(1)).copied().unwrap_or(0);
         u64::from(self.tiling.width) * u64::from(self.tiling.height) * u64::from(spp)
     }
 }
 
-/// Plans a job. `frames`: the frames asked for; `None`: all. The overrides must have been applied to `scene`.
+/// Plans a job. `frames`: the requested frames; `None`: all. The overrides must have been applied to `scene`.
 pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result<Plan, PlanError> {
     settings.check()?;
     unknown_label(scene, &settings.layers).map_err(SettingsError::Layers)?;
@@ -99,7 +99,7 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     if let Some(allocation) = &settings.allocation {
         allocation.check_tiles(&tiling).map_err(SettingsError::Allocation)?;
     }
-    // Whether a first pass is worth it a pilot says (`auto`), of which the settings that come here know the outcome.
+    // A pilot decides whether a first pass is worth it (`auto`). Settings that arrive here already contain its result.
     let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
     let stages = in_blocks(stages(&tiling, &rounds, fan(&tiling), method), method, first_pass_blocks(scene));
     let stages = if settings.statistics { with_statistics(stages) } else { stages };
@@ -120,21 +120,22 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method, stages, left_out })
 }
 
-/// What a pixel's layers and features weigh, a layer as 1.
+/// Returns the cost of a pixel's layers and features, with a layer as 1.
 fn weight_of_layers(settings: &Settings) -> usize {
     let features = feature_layout(&settings.features);
     let bytes = 16 * features.values + 64 * features.ids;
     settings.layers.len() + bytes.div_ceil(104) as usize
 }
 
-/// Edges of tiles that have their own numbers of samples, pixels. The worst block of a tile decides, so tiles of one block draw fewest
-/// samples (roundabout at 0.05: 10.8 a pixel, 19.1 with four blocks); a film of more tiles than that is worth is cut in tiles of four.
+/// Edges of tiles with individual numbers of samples, pixels. The worst block of a tile decides, so tiles of one block draw the
+/// fewest samples (roundabout at 0.05: 10.8 a pixel, 19.1 with four blocks). A film with too many such tiles is split into tiles of
+/// four blocks.
 const UNEVEN_EDGES: [u32; 2] = [16, 32];
 
-/// Most tiles of one block that a film is cut in.
+/// Maximum number of tiles of one block in a film.
 const MOST_OF_ONE_BLOCK: u32 = 1024;
 
-/// Edge of a tile: tasks of about a quarter of a million samples, at least a few tasks a frame.
+/// Returns the edge of a tile: tasks have about a quarter of a million samples, and a frame has at least a few tasks.
 fn tile_edge(stop: Stop, film: [u32; 2]) -> u32 {
     let tiles = |edge: u32| film[0].div_ceil(edge) * film[1].div_ceil(edge);
     let spp = match stop {

@@ -1,4 +1,4 @@
-//! Frames made ready and tiles rendered.
+//! Preparation of frames and rendering of tiles.
 
 use crate::first_pass::{brightened, first_pass, first_pass_world};
 use crate::settings::{Method, Settings};
@@ -13,9 +13,8 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Makes frame `frame` (from 1) of `source`, which has the overrides applied, ready to render; solves its first pass, where the method
-/// has one.
-/// `previous`: any other frame; what the two have in common is shared.
+/// Prepares frame `frame` (from 1) of `source`, which has the overrides applied, for rendering. Solves its first pass if the method
+/// has one. `previous`: any other frame; common parts are shared.
 pub fn prepare(
     source: &Source,
     settings: &Settings,
@@ -32,7 +31,8 @@ pub fn prepare(
     Ok(prepared)
 }
 
-/// The same, but for the first pass: [`first_pass`](crate::first_pass()) solves it, [`light`](crate::light) takes what was solved before.
+/// Prepares a frame as [`prepare`] does, but without the first pass: [`first_pass`](crate::first_pass()) solves it,
+/// [`light`](crate::light) applies a solution.
 pub fn prepare_world(
     source: &Source,
     settings: &Settings,
@@ -42,7 +42,7 @@ pub fn prepare_world(
     femc_prepared::prepare(source, &spec(settings, frame), previous)
 }
 
-/// What [`prepare`] would make the frame from; and the next one, if the frame tells of it by motion vectors.
+/// Returns the key of the inputs from which [`prepare`] makes the frame, including the next frame if the frame has motion vectors.
 pub fn frame_key(source: &Source, settings: &Settings, frame: u32) -> Result<FrameKey, PrepareError> {
     let key = femc_prepared::frame_key(source, &spec(settings, frame))?;
     if !settings.features.contains(&Feature::Motion) || frame >= source.scene().frame_count() {
@@ -55,26 +55,26 @@ pub(crate) fn spec(settings: &Settings, frame: u32) -> FrameSpec {
     FrameSpec { camera: settings.camera.clone(), size: settings.size, frame, filter_radius: settings.filter.radius() }
 }
 
-/// A tile and the work it took.
+/// A tile and its work.
 #[derive(Debug)]
 pub struct RenderedTile {
     /// Sums of the samples.
     pub tile: Tile,
-    /// Closest-hit rays.
+    /// Number of closest-hit rays.
     pub rays: u64,
-    /// Shadow rays.
+    /// Number of shadow rays.
     pub shadow_rays: u64,
-    /// Vertices at which a first pass has drawn a share of the directions.
+    /// Number of vertices at which the guide of a first pass sampled a share of the directions.
     pub guided: u64,
 }
 
-/// Why a tile was not rendered.
+/// Reason why a tile was not rendered.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// The caller cancelled it.
+    /// The caller cancelled the rendering.
     #[error("cancelled")]
     Cancelled,
-    /// The tile's pixels or samples are out of the film's limits.
+    /// The tile's pixels or samples exceed the film's limits.
     #[error(transparent)]
     Film(#[from] FilmError),
     /// The solution of the first pass cannot be trusted.
@@ -82,8 +82,8 @@ pub enum RenderError {
     Untrusted(#[from] Untrusted),
 }
 
-/// Renders samples `samples` of the pixels `rect` on the calling thread's rayon pool.
-/// `progress` counts finished camera samples; `cancel` is looked at before each.
+/// Renders samples `samples` of the pixels `rect` on the calling thread's rayon pool. `progress` counts finished camera samples.
+/// `cancel` is checked before each sample.
 pub fn render_tile(
     prepared: &Prepared,
     settings: &Settings,
@@ -95,10 +95,11 @@ pub fn render_tile(
     render_rows(prepared, settings, rect, samples, cancel, progress, || ()).map(|(rendered, _)| rendered)
 }
 
-/// Rows of pixels that one thread has rendered, one after the other, and its tracer.
+/// Rows of pixels rendered by one thread, one after the other, and its tracer.
 type Run<'a, R> = (Vec<Tile>, Tracer<'a, R>);
 
-/// Renders a tile as [`render_tile`] does, to the bit, with a recorder for each run of rows of pixels; returns the recorders in order, too.
+/// Renders a tile as [`render_tile`] does, to the bit, with a recorder for each run of rows of pixels. Returns the recorders in
+/// order, too.
 pub fn render_rows<R: Recorder + Send>(
     prepared: &Prepared,
     settings: &Settings,
@@ -109,7 +110,7 @@ pub fn render_rows<R: Recorder + Send>(
     recorder: impl Fn() -> R + Sync,
 ) -> Result<(RenderedTile, Vec<R>), RenderError> {
     let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
-    // Neighboring rows have one tracer as long as one thread renders them.
+    // Adjacent rows share a tracer while the same thread renders them.
     let tracer = || {
         let tracer = Tracer::recording(prepared, path, recorder());
         match (settings.method, prepared.field.as_deref()) {
@@ -122,7 +123,7 @@ pub fn render_rows<R: Recorder + Send>(
         let strip = Rect { y: rect.y + row, height: 1, ..rect };
         let mut tile = Tile::new(strip, samples.clone())?;
         for x in strip.x..strip.x + strip.width {
-            // Progress shows also within a pixel of very many samples.
+            // Reports progress also within a pixel of very many samples.
             for begin in samples.clone().step_by(STEP) {
                 let step = begin..samples.end.min(begin.saturating_add(STEP as u32));
                 let count = u64::from(step.end - step.start);
@@ -155,13 +156,13 @@ pub fn render_rows<R: Recorder + Send>(
     Ok((RenderedTile { tile, rays, shadow_rays, guided }, recorders))
 }
 
-/// A sample as the film takes it.
+/// Converts a sample for the film.
 #[inline]
 pub(crate) fn film_sample(drawn: &PathSample) -> Sample {
     Sample { color: drawn.color, albedo: drawn.albedo, depth: drawn.depth }
 }
 
-/// A film's filter as the tracer wants it.
+/// Adapter of a film's filter for the tracer.
 #[derive(Clone, Copy)]
 pub struct Places(pub Filter);
 
@@ -177,7 +178,7 @@ impl PixelFilter for Places {
     }
 }
 
-/// Samples of a pixel between two signs of progress.
+/// Number of samples of a pixel between two progress updates.
 const STEP: usize = 256;
 
 fn render_pixel<R: Recorder>(

@@ -1,5 +1,5 @@
-//! Samples of a finished frame, traced again: a sample is a function of the settings, so that what was not noted while rendering can
-//! be asked for afterwards.
+//! Replay of samples of a finished frame. A sample is a function of the settings, so data that was not recorded during rendering
+//! can be computed afterwards.
 
 use crate::render::{Places, film_sample};
 use crate::settings::{Method, Settings, Stop};
@@ -8,7 +8,7 @@ use femc_montecarlo::{PathSettings, Recorder, Recording, Tracer};
 use femc_prepared::Prepared;
 use std::ops::Range;
 
-/// Traces samples again, on one thread.
+/// Tracer that replays samples on one thread.
 pub struct Replay<'a, R = Recording> {
     tracer: Tracer<'a, R>,
     settings: &'a Settings,
@@ -16,14 +16,14 @@ pub struct Replay<'a, R = Recording> {
 }
 
 impl<'a> Replay<'a> {
-    /// Of a frame of these settings.
+    /// Creates a replay of a frame with these settings.
     pub fn new(prepared: &'a Prepared, settings: &'a Settings) -> Self {
         Self::recording(prepared, settings, Recording::default())
     }
 }
 
 impl<'a, R: Recorder> Replay<'a, R> {
-    /// The same, with another recorder.
+    /// Creates a replay with another recorder.
     pub fn recording(prepared: &'a Prepared, settings: &'a Settings, recorder: R) -> Self {
         let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
         let mut tracer = Tracer::recording(prepared, path, recorder);
@@ -35,7 +35,7 @@ impl<'a, R: Recorder> Replay<'a, R> {
         Self { tracer, settings, width: prepared.camera.film[0] }
     }
 
-    /// Sample number `sample` of a pixel: its color, cd/m2, or `None` if the film refuses it, and how it came about.
+    /// Traces sample number `sample` of a pixel. Returns its color, cd/m2, or `None` if the film rejects it, and its recording.
     pub fn sample(&mut self, (x, y): (u32, u32), sample: u32) -> (Option<Rgb>, &R) {
         let drawn = self.tracer.sample(y * self.width + x, sample, Places(self.settings.filter));
         let color = film_sample(&drawn).fault().is_none().then_some(drawn.color);
@@ -43,23 +43,23 @@ impl<'a, R: Recorder> Replay<'a, R> {
         (color, &self.tracer.recorder)
     }
 
-    /// What the recorder has heard of all samples.
+    /// Returns the recorder, with its data of all samples.
     pub fn into_recorder(self) -> R {
         self.tracer.recorder
     }
 }
 
-/// Samples that a pixel's mean is made of; where the halves end each on its own, it is the mean of their means.
+/// Samples that a pixel's mean consists of. If the halves end separately, it is the mean of their means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Counted {
-    /// The first.
+    /// First sample.
     pub begin: u32,
-    /// Of each half one past the last.
+    /// One past the last sample of each half.
     pub ends: [u32; 2],
 }
 
 impl Counted {
-    /// All that a frame of these settings may have counted in a pixel whose mean is said to be of `samples`.
+    /// Returns all possibilities for a frame of these settings and a pixel whose file says `samples` samples.
     pub fn candidates(settings: &Settings, samples: u32) -> Vec<Self> {
         match (settings.stop, &settings.allocation) {
             (Stop::Spp(spp), _) => return vec![Self { begin: 0, ends: [spp; 2] }],
@@ -74,33 +74,33 @@ impl Counted {
         pairs.filter(|pair| pair.count() == samples).collect()
     }
 
-    /// The first samples of a pixel, as many as its mean is said to be of.
+    /// Returns the first `samples` samples of a pixel.
     pub fn first(samples: u32) -> Self {
         Self { begin: 0, ends: [samples; 2] }
     }
 
-    /// Samples of each half.
+    /// Returns the number of samples of each half.
     fn halves(self) -> [u32; 2] {
         let [a, b] = self.ends;
         [a.div_ceil(2) - self.begin.div_ceil(2), b / 2 - self.begin / 2]
     }
 
-    /// Samples of both.
+    /// Returns the number of samples of both halves.
     pub fn count(self) -> u32 {
         self.halves().iter().sum()
     }
 
-    /// Samples to trace.
+    /// Returns the range of samples to trace.
     pub fn range(self) -> Range<u32> {
         self.begin..self.ends[0].max(self.ends[1])
     }
 
-    /// Whether a sample counts.
+    /// Checks whether a sample counts.
     pub fn has(self, sample: u32) -> bool {
         sample >= self.begin && sample < self.ends[sample as usize % 2]
     }
 
-    /// Mean of a pixel's samples, given in order from the first of all; those that the film refuses are left out.
+    /// Returns the mean of a pixel's samples, given in order from the first of all. Samples that the film rejects are left out.
     pub fn mean(self, samples: &[Option<Rgb>]) -> Rgb {
         let (mut sums, mut counts) = ([[0f64; 3]; 2], [0u32; 2]);
         let taken = (0u32..).zip(samples).filter_map(|(index, color)| Some((index, (*color)?)));
@@ -117,7 +117,8 @@ impl Counted {
         Rgb::new(mean(0), mean(1), mean(2))
     }
 
-    /// The halves' parts of a mean of so many samples of each: as many, and 1/2 where the halves end each on its own.
+    /// Returns the weights of the halves in a mean of these numbers of samples: proportional to the numbers, or 1/2 each if the
+    /// halves end separately.
     fn weights(self, counts: [u32; 2]) -> [f64; 2] {
         match counts.map(f64::from) {
             [0.0, _] => [0.0, 1.0],
@@ -127,7 +128,7 @@ impl Counted {
         }
     }
 
-    /// Factor from the variance of a sample to that of the mean.
+    /// Returns the factor from the variance of a sample to that of the mean.
     pub fn variance_factor(self) -> f64 {
         let counts = self.halves();
         let weights = self.weights(counts);

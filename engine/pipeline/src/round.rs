@@ -1,41 +1,41 @@
-//! What follows a round of samples: which tiles of a frame get more of them.
+//! Decision after a round of samples: which tiles of a frame get more samples.
 //!
-//! The decision is a function of the tiles' own samples. It knows no clock, no order of arrival, no number of workers: all of
-//! them decide alike. The one exception is [`Stop::Time`], for which a person asks ([`crate::budget`]): the image states how its samples
-//! were divided, and the same division gives the same image ([`Allocation`](crate::Allocation)).
+//! The decision is a function of the tiles' own samples. It does not depend on clocks, order of arrival, or number of workers, so
+//! every process decides alike. The one exception is [`Stop::Time`], which the user requests ([`crate::budget`]): the image states
+//! how its samples were divided, and the same division gives the same image ([`Allocation`](crate::Allocation)).
 //!
-//! A rule that looks at the estimates which it stops favors estimates that look good, which are those that a rare bright path is
-//! missing from: such images are too dark (by a third in examples with heavy tails). Here the samples of a tile are two independent
-//! halves, A and B, whose numbers grow by rounds of a fixed size. The number of A's samples that count is the end of the first round
-//! after which B's samples alone, as many as A's, promise the error that was asked for; and the other way round. So each number is a
-//! function of samples that are independent of those which it counts: for every number the mean of A is unbiased, hence A's is, B's,
-//! and the image's, (A + B) / 2. Both halves are drawn until both have ended, since each is needed to end the other: what is drawn of
-//! a half after its end is held, and does not count.
+//! A rule that stops on the same estimates that it reports favors estimates that look good, and those are the ones that miss a rare
+//! bright path. Such images are too dark (by a third in examples with heavy tails). Here the samples of a tile form two independent
+//! halves, A and B, which grow by rounds of a fixed size. The number of A's samples that count is the end of the first round after
+//! which B's samples alone, in the same number as A's, promise the requested error, and vice versa. So each number is a function of
+//! samples that are independent of those that it counts. For every number the mean of A is unbiased, hence A's is, B's is, and the
+//! image's, (A + B) / 2, is. Both halves are drawn until both have ended, since each is needed to end the other. Samples of a half
+//! after its end are held and do not count.
 
 use crate::budget;
 use crate::settings::{Settings, Stop};
 use femc_film::tile::{Ends, HALVES};
 use femc_film::{Stops, TileErrors};
 
-/// What a frame does after a round of samples.
+/// Decision after a round of samples.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RoundVerdict {
-    /// Another round, of all tiles.
+    /// Another round of all tiles.
     Continue,
-    /// Another round, at the end of which each tile has so many samples a pixel in all; no tile has fewer than now.
+    /// Another round, at the end of which each tile has this total number of samples a pixel. No tile has fewer than now.
     Steps(Vec<u32>),
     /// The frame is finished.
     Done,
 }
 
-/// Samples a pixel after which a block that has met no light is left alone.
+/// Number of samples a pixel after which a block without light is not refined any more.
 pub const UNLIT_SPP: u32 = 64;
 
 impl Settings {
-    /// What follows a round, and where the halves of the tiles end.
+    /// Returns the decision after a round, and the ends of the halves of the tiles.
     /// - `tiles`: all tiles of the frame, in order;
-    /// - `before`: what the decision before left; `None`: this is the first one;
-    /// - `seconds`: since the frame's first lease, for [`Stop::Time`] alone;
+    /// - `before`: state left by the decision before; `None`: this is the first one;
+    /// - `seconds`: seconds since the frame's first lease, only for [`Stop::Time`];
     /// - `planned`: samples a pixel at the end of the next round; `None`: this was the last one.
     pub fn verdict(
         &self,
@@ -60,7 +60,7 @@ impl Settings {
     }
 }
 
-/// What follows where tiles end one by one.
+/// Returns the decision if tiles end one by one.
 fn next(tiles: &[TileErrors], ends: &[Ends], planned: Option<u32>) -> RoundVerdict {
     let Some(planned) = planned else { return RoundVerdict::Done };
     let is_enough = |(tile, ends): &(&TileErrors, &Ends)| ends.iter().all(|&end| end <= tile.samples.end);
@@ -79,7 +79,7 @@ fn next(tiles: &[TileErrors], ends: &[Ends], planned: Option<u32>) -> RoundVerdi
     RoundVerdict::Steps(all().map(steps).collect())
 }
 
-/// Ends each half of a tile of which the other one says that it has samples enough.
+/// Ends each half of a tile if the other half says that the number of samples is sufficient.
 fn end(tile: &TileErrors, floors: [f64; HALVES], most: f64, ends: &mut Ends) {
     let samples = tile.samples.end;
     let unlit = if samples >= UNLIT_SPP { 0.0 } else { f64::INFINITY };
@@ -100,7 +100,7 @@ mod tests {
     const TIME: f64 = 4.0;
     const RECT: Rect = Rect { x: 0, y: 0, width: 1, height: 1 };
 
-    /// A tile of one block whose luminance is 1, with the relative error that each half tells; `None`: the half has met no light.
+    /// Creates a tile of one block with luminance 1 and the relative error of each half. `None`: the half has found no light.
     fn tile(samples: u32, errors: [Option<f64>; 2]) -> TileErrors {
         let half = |error: Option<f64>| match error {
             Some(error) => HalfBlock { sum: 1.0, bound: 2.0 * (error / 1.959_964).powi(2) },
@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(left.ends, [[16, 16], [16, u32::MAX], [u32::MAX, 16], OPEN]);
         assert_eq!(verdict, RoundVerdict::Steps(vec![16, 24, 24, 24]));
 
-        // In the next round the half that had ended says nothing any more of its own end.
+        // In the next round, the half that ended no longer affects its own end.
         let errors = [[0.9, 0.9], [0.01, 0.9], [0.9, 0.9], [0.01, 0.01]].map(|pair| pair.map(Some));
         let tiles: Vec<TileErrors> = errors.into_iter().zip([16, 24, 24, 24]).map(|(e, n)| tile(n, e)).collect();
         let (verdict, left) = settings(Stop::Error(0.05)).verdict(&tiles, Some(left), TIME, Some(32));

@@ -1,4 +1,4 @@
-//! Render settings: the same on the command line, in job files and on the wire.
+//! Render settings, shared by the command line, job files and the wire format.
 
 use crate::allocation::{Allocation, AllocationError};
 use crate::budget::PILOT;
@@ -8,18 +8,18 @@ use femc_scene::{Scene, SelectorError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// Everything besides the scene that decides a frame's pixels.
+/// All settings that determine a frame's pixels, besides the scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Camera by name; `None`: the scene's first.
     pub camera: Option<String>,
     /// Film size in pixels; `None`: the camera's.
     pub size: Option<[u32; 2]>,
-    /// When a frame is done.
+    /// Condition under which a frame is done.
     pub stop: Stop,
-    /// How light is computed.
+    /// Method of computing light.
     pub method: Method,
-    /// Longest path in segments (what the camera sees directly is 1); 0: no bound.
+    /// Maximum path length in segments (directly visible light is 1); 0: unlimited.
     pub max_depth: u32,
     /// Pixel filter.
     pub filter: Filter,
@@ -29,16 +29,16 @@ pub struct Settings {
     pub overrides: Vec<(String, f64)>,
     /// Whether path statistics are collected.
     pub statistics: bool,
-    /// Whether all samples are in the histograms of path statistics; else those that are recorded.
+    /// Whether the histograms of path statistics count all samples, not only the recorded ones.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub full_statistics: bool,
-    /// Layers of the light, beside the picture.
+    /// Layers of the light, in addition to the picture.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub layers: Vec<Layer>,
-    /// Features, beside the picture: what the camera sees first.
+    /// Features (AOVs) of the first visible surface, in addition to the picture.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub features: BTreeSet<Feature>,
-    /// Of a frame that has a time: how its samples were divided when it was rendered first; `None`: by the clock.
+    /// Division of the samples in the first render of a frame with a time limit. `None`: division by the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allocation: Option<Allocation>,
 }
@@ -63,47 +63,47 @@ impl Default for Settings {
     }
 }
 
-/// When a frame is done.
+/// Condition under which a frame is done.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stop {
-    /// At this many samples a pixel.
+    /// This number of samples a pixel.
     Spp(u32),
-    /// When every 16 x 16 block's mean luminance has at most this relative error (95 % confidence).
+    /// Maximum relative error of the mean luminance of every 16 x 16 block (95 % confidence).
     Error(f64),
-    /// This many seconds after the frame's first lease.
+    /// Seconds after the frame's first lease.
     Time(f64),
 }
 
-/// How light is computed.
+/// Method of computing light.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// The plan's choice.
+    /// Choice of the plan.
     #[default]
     Auto,
     /// Path tracing alone.
     Pt,
-    /// The finite-element first pass alone: its light ends the paths. Biased by the elements' errors.
+    /// Finite-element first pass alone: its light ends the paths. It is biased by the elements' errors.
     Fem,
-    /// The finite-element first pass, then guided path tracing.
+    /// Finite-element first pass, then guided path tracing.
     Femc,
 }
 
 impl Method {
-    /// Whether frames have a finite-element first pass.
+    /// Checks whether frames have a finite-element first pass.
     pub fn has_first_pass(self) -> bool {
         matches!(self, Self::Fem | Self::Femc)
     }
 
-    /// What a method leaves in every pixel however many samples it draws; `None`: nothing.
+    /// Describes the error of a method in every pixel that more samples do not reduce. `None`: there is none.
     pub fn bias(self) -> Option<&'static str> {
         (self == Self::Fem)
             .then_some("fem: the elements' errors are in every pixel; variance and relative_error do not hold them")
     }
 }
 
-/// Why settings are refused.
+/// Reason why settings are invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SettingsError {
     /// A number is out of its domain.
@@ -111,25 +111,25 @@ pub enum SettingsError {
     Domain {
         /// Name of the setting.
         setting: &'static str,
-        /// Its value.
+        /// Value of the setting.
         value: String,
-        /// What it may be.
+        /// Domain of the setting.
         domain: &'static str,
     },
-    /// Elements know no lengths of paths.
+    /// Elements have no path lengths.
     #[error(
         "a longest path (`max-depth` {0}) cannot be asked of the method `fem`, whose light has come any number of ways; use `pt`"
     )]
     DepthOfElements(u32),
-    /// Layers that no frame can have.
+    /// Invalid layers.
     #[error(transparent)]
     Layers(#[from] LayerError),
-    /// Elements do not know by what ways their light has come.
+    /// The light of elements has no paths.
     #[error(
         "layers cannot be had of the method `fem`, whose light has come by ways that are not known; use `pt` or `femc`"
     )]
     LayersOfElements,
-    /// Samples that no frame is made of.
+    /// Invalid allocation of samples.
     #[error(transparent)]
     Allocation(#[from] AllocationError),
     /// An override failed.
@@ -137,15 +137,16 @@ pub enum SettingsError {
     Selector(#[from] SelectorError),
 }
 
-/// Most samples a pixel that can be asked for.
+/// Maximum number of samples a pixel.
 pub const MAX_SPP: u32 = 1 << 24;
-/// Samples a pixel of the first round when the number is not known in advance: two of each replicate.
+/// Number of samples a pixel of the first round if the total is not known in advance: two of each replicate.
 const FIRST_ROUND: u32 = 8;
-/// Every other round doubles the samples; this many are the end even if the error asked for is not reached.
+/// Number of samples a pixel at which a frame ends even if the requested error is not reached. Every other round doubles the
+/// samples.
 const LAST_ROUND_SPP: u32 = 1 << 16;
 
 impl Settings {
-    /// Refuses values outside their domains.
+    /// Checks that all values are in their domains.
     pub fn check(&self) -> Result<(), SettingsError> {
         let refuse = |setting, value: String, domain| Err(SettingsError::Domain { setting, value, domain });
         match self.stop {
@@ -169,12 +170,13 @@ impl Settings {
         Ok(self.allocation.as_ref().map_or(Ok(()), Allocation::check)?)
     }
 
-    /// Whether frames have a file of layers or features.
+    /// Checks whether frames have a file of layers or features.
     pub fn has_layers(&self) -> bool {
         !self.layers.is_empty() || !self.features.is_empty()
     }
 
-    /// The settings as an image states them: they do not tell whether it was rendered by the clock or by the division that it states.
+    /// Returns the settings as stated in an image. They do not distinguish a render by the clock from a render with the stated
+    /// division.
     pub fn stated(&self) -> Self {
         Self { allocation: None, ..self.clone() }
     }
@@ -187,8 +189,8 @@ impl Settings {
         Ok(())
     }
 
-    /// Samples a pixel at the end of each round, ascending. With [`Stop::Error`] and [`Stop::Time`] a frame may end after any; with
-    /// [`Stop::Time`] only the first number and the last are certain.
+    /// Returns the samples a pixel at the end of each round, ascending. With [`Stop::Error`] and [`Stop::Time`] a frame may end
+    /// after any round. With [`Stop::Time`] only the first number and the last are certain.
     pub fn rounds(&self) -> Vec<u32> {
         match (self.stop, &self.allocation) {
             (Stop::Spp(n), _) => vec![n],
@@ -197,7 +199,7 @@ impl Settings {
                 (0..).map(|round| PILOT.saturating_pow(round)).take_while(|n| *n <= MAX_SPP).collect()
             }
             (Stop::Error(_), _) => {
-                // 8, 12, 16, 24 ..: of halves and replicates each has as many.
+                // 8, 12, 16, 24 ..: all halves and replicates have equal numbers.
                 let doubled = std::iter::successors(Some(FIRST_ROUND), |n| (*n < LAST_ROUND_SPP).then_some(n * 2));
                 doubled.flat_map(|n| [n, n + n / 2]).take_while(|&n| n <= LAST_ROUND_SPP).collect()
             }

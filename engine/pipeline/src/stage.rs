@@ -1,73 +1,73 @@
-//! The stages of a job: what a plan is to whoever runs it.
+//! Stages of a job: the form of a plan that the farm runs.
 //!
-//! A frame of one round is rendered, and its image is made of its tiles; that of a large frame is made of groups of tiles, which
-//! are united beside the rendering: it reads less, at the price of two outputs a group.
+//! A frame of one round is rendered, and its image is made from its tiles. The image of a large frame is made from groups of tiles,
+//! which are united in parallel with the rendering. The image task then reads less, at the price of two outputs per group.
 //!
-//! A frame of several rounds always has groups, though it be one. A decision closes the loop: it reads the errors of all tiles,
-//! some kilobytes, and says how many samples each tile gets in the next round. The image is made once, behind the loop.
+//! A frame of several rounds always has groups, even if there is only one. A decision closes the loop: it reads the errors of all
+//! tiles, some kilobytes, and determines how many samples each tile gets in the next round. The image is made once, after the loop.
 //!
-//! A method with a first pass has it before all others, once for all frames of one world; each tile reads its light. It is one task, or
-//! many of them ([`in_blocks`](crate::in_blocks)).
+//! A method with a first pass runs it before all other stages, once for all frames of one world. Each tile reads its light. The
+//! first pass is one task, or many tasks ([`in_blocks`](crate::in_blocks)).
 //!
-//! With light statistics each tile says, beside its sums, what it knows of the paths of its samples; the image unites that of all rounds,
-//! of many tiles by groups, when it is known which samples count.
+//! With light statistics, each tile outputs, in addition to its sums, the statistics of its samples' paths. When it is known which
+//! samples count, the image task unites those of all rounds, for many tiles by groups.
 
 use crate::Method;
 use femc_film::Tiling;
 use serde::{Deserialize, Serialize};
 use std::num::NonZeroU32;
 
-/// An array of tasks of one kind. Stages are named by their place in the plan, and need those before them only, or, of the round
-/// before, any of their loop.
+/// An array of tasks of one kind. Stages are identified by their index in the plan. A stage needs only stages before it or, from
+/// the round before, any stage of its loop.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stage {
     /// Kind of its tasks.
     pub kind: StageKind,
     /// Unit that has this stage once: a frame, a job, or a shared content.
     pub scope: Scope,
-    /// Its tasks in order, as runs of equal ones: how many, and the units of work of a step of each. Of [`StageKind::Render`] a
-    /// unit is a pixel.
+    /// Tasks in order, as runs of equal ones: number of tasks, and units of work per step of each. For [`StageKind::Render`] a unit
+    /// is a pixel.
     pub sizes: Vec<(u32, u64)>,
-    /// Steps that each task has taken at the end of each round, ascending: of [`StageKind::Render`] samples a pixel. Empty of
+    /// Total steps of each task at the end of each round, ascending. For [`StageKind::Render`] these are samples a pixel. Empty for
     /// other kinds.
     pub steps: Vec<u32>,
     /// Outputs that its tasks read.
     pub needs: Vec<Need>,
-    /// The roles of its outputs.
+    /// Roles of its outputs.
     pub makes: Vec<Role>,
-    /// The loop that it closes.
+    /// Loop that the stage closes.
     pub closes: Option<Loop>,
 }
 
-/// What the tasks of a stage do.
+/// Kind of the tasks of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StageKind {
     /// Renders samples of a tile.
     Render,
     /// Unites the tiles of a group.
     Reduce,
-    /// Decides by the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
+    /// Decides from the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
     Decide,
     /// Measures a frame and writes its image.
     Image,
-    /// Solves the first pass of a world, or does of it what one task does for all blocks.
+    /// Solves the first pass of a world, or does the steps of it that one task does for all blocks.
     FirstPass,
-    /// A block of a first pass: its rays, or where its light comes from.
+    /// Computes a block of a first pass: its rays, or its guides.
     FirstPassBlock,
 }
 
-/// What has a stage once.
+/// Unit that has a stage once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Scope {
-    /// The job.
+    /// Whole job.
     Job,
-    /// Every frame.
+    /// Each frame.
     Frame,
-    /// What frames and jobs share that name one key.
+    /// Content shared by frames and jobs with one key.
     Content,
 }
 
-/// What an output is.
+/// Role of an output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Role {
     /// Sums of a tile's samples.
@@ -76,27 +76,27 @@ pub enum Role {
     Sums,
     /// Resolved pixels of several tiles.
     Pixels,
-    /// How far each of several tiles is from converged.
+    /// Errors of several tiles, for the test of convergence.
     Errors,
-    /// Where the halves of the tiles end.
+    /// Ends of the halves of the tiles.
     Stops,
     /// A finished image.
     Image,
-    /// The same, tone-mapped.
+    /// A finished image, tone-mapped.
     Preview,
-    /// The light that a first pass has found.
+    /// Light of a first pass.
     Field,
-    /// What is known of the paths of samples.
+    /// Statistics of the paths of samples.
     Paths,
-    /// The same of all samples that count in a frame.
+    /// Statistics of the paths of all samples that count in a frame.
     Statistics,
-    /// Elements of a first pass that is not done, and their light.
+    /// Elements of an unfinished first pass, and their light.
     Elements,
-    /// Links between these.
+    /// Links between these elements.
     Links,
-    /// What the rays of a block have met.
+    /// Ray hits of a block.
     Rays,
-    /// Where the light of a block comes from.
+    /// Guides of a block: the directions from which its light comes.
     Guides,
     /// Sums of the layers of a tile's samples.
     Layers,
@@ -109,7 +109,7 @@ pub enum Role {
 /// Outputs of one role of a stage, which the tasks of another read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Need {
-    /// The stage that makes them.
+    /// Stage that makes them.
     pub stage: u16,
     /// Role of the outputs.
     pub role: Role,
@@ -119,34 +119,34 @@ pub struct Need {
     pub round: Round,
 }
 
-/// Which tasks of a stage a task reads.
+/// Tasks of a stage whose outputs a task reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Reach {
-    /// All.
+    /// All tasks.
     All,
-    /// The one of the same number.
+    /// Task with the same index.
     Same,
-    /// Task `i` reads those from `i * n` to `(i + 1) * n`.
+    /// Tasks from `i * n` to `(i + 1) * n`, for task `i`.
     Fan(NonZeroU32),
 }
 
-/// Which round of a stage a task reads.
+/// Round of a stage whose outputs a task reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Round {
-    /// Its own, in a loop; the last, of a stage whose loop is over.
+    /// Same round within a loop; last round of a stage whose loop is over.
     Same,
-    /// The one before; in the first round there is none.
+    /// Round before; none in the first round.
     Before,
-    /// All, of a stage whose loop is over.
+    /// All rounds of a stage whose loop is over.
     Every,
 }
 
 /// Stages that run in rounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Loop {
-    /// The first stage of the loop; the last one is the stage that closes it.
+    /// First stage of the loop. The last one is the stage that closes it.
     pub first: u16,
-    /// Most rounds.
+    /// Maximum number of rounds.
     pub rounds: u32,
 }
 
@@ -162,20 +162,20 @@ impl Stage {
     }
 }
 
-/// Most tiles of a group: 256.
+/// Maximum number of tiles of a group: 256.
 const GROUP_TILES: u64 = 256;
-/// Most pixels of a group: their sums, 236 bytes each, are united in about a second.
+/// Maximum number of pixels of a group. Their sums, 236 bytes each, are united in about a second.
 const GROUP_PIXELS: u64 = 1 << 18;
 
-/// Most tiles of a group, of such tiles.
+/// Returns the maximum number of such tiles in a group.
 pub fn fan(tiling: &Tiling) -> NonZeroU32 {
     let tile = u64::from(tiling.edge) * u64::from(tiling.edge);
     let tiles = (GROUP_PIXELS / tile.max(1)).min(GROUP_TILES) as u32;
     NonZeroU32::new(tiles).unwrap_or(NonZeroU32::MIN)
 }
 
-/// The stages of a job of frames: the first pass where the method has one, tiles, groups of `fan` of them where there are more or
-/// several rounds, a decision where there are several rounds, the image.
+/// Returns the stages of a job of frames: the first pass if the method has one; tiles; groups of `fan` tiles if there are more
+/// tiles or several rounds; a decision if there are several rounds; the image.
 /// - `rounds`: samples a pixel at the end of each round, ascending.
 pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) -> Vec<Stage> {
     let groups = (tiling.count() as u32).div_ceil(fan.get());
@@ -195,7 +195,7 @@ pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) 
     };
     let mut finished = (first + 1, Role::Pixels);
     if rounds.len() > 1 {
-        // What unites the tiles goes on with its sums of the round before, and with what was decided then; so does the decision.
+        // The reduction continues from its sums of the round before and from the decision of that round. So does the decision.
         let before = |stage, role, reach| Need { stage, role, reach, round: Round::Before };
         let stops = before(first + 2, Role::Stops, Reach::All);
         let mut reduce = reduce(&[Role::Pixels, Role::Errors, Role::Sums]);
@@ -215,10 +215,10 @@ pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) 
     all
 }
 
-/// Tiles whose paths are united by one task, and groups of them that one task reads.
+/// Number of tiles whose paths one task unites, and number of groups of them that one task reads.
 const PATHS_FAN: NonZeroU32 = NonZeroU32::new(256).expect("it is not 0");
 
-/// Adds light statistics to the stages of a job: nothing of its images changes.
+/// Adds light statistics to the stages of a job. Its images do not change.
 pub fn with_statistics(mut stages: Vec<Stage>) -> Vec<Stage> {
     let find = |stages: &[Stage], kind| stages.iter().position(|stage| stage.kind == kind);
     let (Some(render), Some(mut image)) = (find(&stages, StageKind::Render), stages.pop()) else { return stages };
@@ -226,7 +226,7 @@ pub fn with_statistics(mut stages: Vec<Stage>) -> Vec<Stage> {
     stages[render].makes.push(Role::Paths);
     let tiles: u32 = stages[render].sizes.iter().map(|(count, _)| count).sum();
     let of = |stage: usize, role, reach| Need { stage: stage as u16, role, reach, round: Round::Every };
-    // What was decided last says what counts.
+    // The last decision determines which samples count.
     if tiles > PATHS_FAN.get() {
         let groups = vec![(tiles.div_ceil(PATHS_FAN.get()), 1)];
         let mut reduce = Stage::of_frame(StageKind::Reduce, groups, &[Role::Paths]);
@@ -244,12 +244,12 @@ pub fn with_statistics(mut stages: Vec<Stage>) -> Vec<Stage> {
     stages
 }
 
-/// Most sums of layers of a group: 104 bytes each, united in about a second.
+/// Maximum number of layer sums of a group: 104 bytes each, united in about a second.
 const GROUP_SUMS: u64 = 1 << 20;
 
-/// Adds layers to the stages of a job: nothing of its images changes. Behind the loop, when it is known which samples count, groups of
-/// tiles are resolved, and the image writes them.
-/// - `layers`: number of layers, and what features weigh as much as; not 0.
+/// Adds layers to the stages of a job. Its images do not change. After the loop, when it is known which samples count, groups of
+/// tiles are resolved, and the image task writes them.
+/// - `layers`: number of layers, plus the equivalent of the features; not 0.
 pub fn with_layers(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize) -> Vec<Stage> {
     let find = |stages: &[Stage], kind| stages.iter().position(|stage| stage.kind == kind);
     let (Some(render), Some(mut image)) = (find(&stages, StageKind::Render), stages.pop()) else { return stages };
@@ -270,7 +270,7 @@ pub fn with_layers(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize) -> Ve
     stages
 }
 
-/// The tiles as runs of as many pixels.
+/// Returns the tiles as runs of equal numbers of pixels.
 fn areas(tiling: &Tiling) -> Vec<(u32, u64)> {
     let areas: Vec<u64> = tiling.rects().map(|rect| rect.area()).collect();
     areas.chunk_by(|a, b| a == b).map(|run| (run.len() as u32, run[0])).collect()
@@ -366,7 +366,7 @@ mod tests {
             assert!(
                 others.iter().flat_map(|stage| &stage.needs).all(|need| need.role != Role::Field && need.stage > 0)
             );
-            // All others are as without it, one place further on.
+            // All other stages are unchanged, with indices greater by one.
             for (stage, before) in [render].into_iter().chain(others).zip(&without) {
                 let needs = stage.needs.iter().filter(|need| need.role != Role::Field);
                 let needs = needs.map(|need| Need { stage: need.stage - 1, ..*need }).collect();

@@ -1,31 +1,31 @@
-//! The tree of elements, which grows as links are refined.
+//! Tree of elements, which grows as links are refined.
 
 use crate::element::{Element, Kind};
 use crate::scene::Scene;
 use femc_field::{NONE, Outline, Split};
 use femc_math::glam::{Vec2, Vec3A};
 
-/// All elements; a parent comes before its children.
+/// All elements. A parent comes before its children.
 #[derive(Clone, Debug, Default)]
 pub struct Arena {
     pub elements: Vec<Element>,
-    /// Clusters and balls.
+    /// Number of clusters and balls.
     pub wide: usize,
-    /// The element that holds all.
+    /// Element that contains all others.
     pub root: u32,
-    /// By surface: its root element, or [`NONE`].
+    /// Root element by surface, or [`NONE`].
     pub roots: Vec<u32>,
     /// Root of the fog, or [`NONE`].
     pub fog: u32,
-    /// Elements that were cut, in order: with the scene they make the same tree again.
+    /// Elements that were split, in order. Together with the scene they reproduce the tree.
     pub cuts: Vec<u32>,
 }
 
-/// Cosine between normals that are the same.
+/// Minimum cosine between normals that count as equal.
 const ONE_PLANE: f32 = 0.999_999;
 
 impl Arena {
-    /// Roots of all surfaces in a tree of clusters, and the fog beside them.
+    /// Creates the roots of all surfaces in a tree of clusters, and the fog beside them.
     pub fn new(scene: &Scene<'_>) -> Self {
         let mut arena = Self { roots: vec![NONE; scene.surfaces.len()], fog: NONE, ..Self::default() };
         let mut roots: Vec<(u32, Element)> = (0..scene.surfaces.len() as u32)
@@ -56,7 +56,7 @@ impl Arena {
         self.elements.len() as u32 - 1
     }
 
-    /// A tree over some roots: halves by their middles along the axis on which these are farthest apart.
+    /// Builds a tree over some roots. Each cluster is split at the median of the centers along the axis of their greatest extent.
     fn cluster(&mut self, roots: &mut [(u32, Element)], parent: u32, key: u64) -> u32 {
         if let [(surface, root)] = roots {
             let index = self.push(Element { parent, ..root.clone() });
@@ -72,7 +72,7 @@ impl Arena {
         let axis = (1..3).fold(0, |best, axis| if extent[axis] > extent[best] { axis } else { best });
         let place = |root: &(u32, Element)| root.1.center[axis];
         roots.sort_by(|a, b| place(a).total_cmp(&place(b)).then(a.0.cmp(&b.0)));
-        // Where a large surface is among small ones it parts from them first.
+        // A large surface among small ones is separated from them first.
         let largest = roots
             .iter()
             .enumerate()
@@ -100,9 +100,9 @@ impl Arena {
         index
     }
 
-    /// The smallest part of a surface that holds a point, if it is larger than `least`, m2; else the first that is not.
+    /// Descends to the part of a surface that contains a point: the first part that is a leaf or not larger than `least`, m2.
     /// - `place`: the point, in the surface's parameters;
-    /// - returns the part, and the point in its own.
+    /// - returns the part, and the point in the part's parameters.
     pub fn part_at(&self, root: u32, place: Vec2, least: f32) -> (u32, Vec2) {
         let mut index = root;
         let mut local = self.elements[root as usize].in_parent.local(place);
@@ -121,7 +121,7 @@ impl Arena {
         }
     }
 
-    /// The smallest box of fog that holds a point, m; `None` outside of the fog.
+    /// Returns the smallest box of fog that contains a point, m; `None` outside of the fog.
     pub fn fog_at(&self, point: Vec3A) -> Option<u32> {
         let mut index = self.fog;
         if index == NONE {
@@ -142,7 +142,7 @@ impl Arena {
         }
     }
 
-    /// The parts of an element, made if they are not there; `None` of what cannot be cut.
+    /// Returns the children of an element, and creates them if necessary.
     /// - returns whether they are new.
     pub fn children(&mut self, scene: &Scene<'_>, index: u32) -> ([u32; 2], bool) {
         let element = &self.elements[index as usize];
@@ -187,7 +187,7 @@ fn root_outline(scene: &Scene<'_>, surface: u32) -> Outline {
     Outline::across_longest([Vec2::ZERO, Vec2::X, Vec2::Y], &length)
 }
 
-/// A sphere around two.
+/// Returns a sphere around two spheres.
 fn around(a: (Vec3A, f32), b: (Vec3A, f32)) -> (Vec3A, f32) {
     let distance = a.0.distance(b.0);
     if distance + b.1 <= a.1 {
@@ -200,7 +200,7 @@ fn around(a: (Vec3A, f32), b: (Vec3A, f32)) -> (Vec3A, f32) {
     (a.0 + (b.0 - a.0) * ((radius - a.1) / distance), radius)
 }
 
-/// How an element is cut, for the field.
+/// Returns the split of an element, for the field.
 pub fn split_of(element: &Element) -> Split {
     if element.is_leaf() { Split::None } else { element.split }
 }

@@ -1,28 +1,29 @@
-//! What machines that share a first pass send each other: columns of numbers.
+//! Messages between machines that share a first pass: columns of numbers.
 //!
-//! A column holds one number of every row, byte by byte: all first bytes, then all second ones, as those of neighbors are alike. All columns
-//! are compressed together. The numbers are exact: who reads them goes on with the same bits.
+//! A column holds one number of every row, byte by byte: all first bytes, then all second ones, because those of neighbors are
+//! alike. All columns are compressed together. The numbers are exact, so the reader continues with the same bits.
 
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use std::io::Read as _;
 
-/// Level of zstd: fast, as all is read once or twice.
+/// Level of zstd. It is fast, since everything is read only once or twice.
 const LEVEL: i32 = 1;
-/// Most bytes of all columns.
+/// Maximum number of bytes of all columns.
 const MOST: u64 = 1 << 33;
 
-/// Bytes that are not what a step of a first pass has made.
+/// Error: the bytes are not the output of a step of a first pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("what a step of the first pass has made is damaged: {0}")]
 pub struct Damaged(pub &'static str);
 
-/// Columns that are written.
+/// Writer of columns.
 #[derive(Debug, Default)]
 pub struct Writer(Vec<u8>);
 
 impl Writer {
-    /// - `what`: eight letters and digits that say what follows, and in which version.
+    /// Creates a writer.
+    /// - `what`: eight letters and digits that identify the content and its version.
     pub fn new(what: &[u8; 8]) -> Self {
         Self(what.to_vec())
     }
@@ -46,18 +47,18 @@ impl Writer {
         }
     }
 
-    /// Rows of so many numbers.
+    /// Writes rows of `N` numbers.
     pub fn rows<const N: usize>(&mut self, rows: &[[f32; N]]) {
         (0..N).for_each(|column| self.numbers(rows.iter().map(|row| row[column].to_bits())));
     }
 
     pub fn finish(self) -> Vec<u8> {
-        // It is written to memory: that does not fail.
+        // Writing to memory does not fail.
         zstd::bulk::compress(&self.0, LEVEL).unwrap_or_default()
     }
 }
 
-/// Columns that are read.
+/// Reader of columns.
 #[derive(Debug)]
 pub struct Reader {
     bytes: Vec<u8>,
@@ -99,7 +100,7 @@ impl Reader {
         Ok((0..count).map(of).collect())
     }
 
-    /// So many rows.
+    /// Reads `count` rows.
     pub fn rows<const N: usize>(&mut self, count: usize) -> Result<Vec<[f32; N]>, Damaged> {
         if count.saturating_mul(4 * N) > self.bytes.len() - self.at {
             return Err(Damaged("it ends early"));
@@ -115,13 +116,13 @@ impl Reader {
         Ok(rows)
     }
 
-    /// Nothing may follow.
+    /// Checks that nothing follows.
     pub fn end(self) -> Result<(), Damaged> {
         if self.at == self.bytes.len() { Ok(()) } else { Err(Damaged("something follows its end")) }
     }
 }
 
-/// Colors as numbers, and back.
+/// Converts colors to numbers.
 pub fn flat<const N: usize, const M: usize>(colors: &[Rgb; N]) -> [f32; M] {
     std::array::from_fn(|at| colors[at / 3].to_array()[at % 3])
 }
@@ -130,7 +131,7 @@ pub fn colors<const N: usize>(numbers: &[f32]) -> [Rgb; N] {
     std::array::from_fn(|at| Rgb::from_array([0, 1, 2].map(|channel| numbers[3 * at + channel])))
 }
 
-/// A place by its numbers.
+/// Creates a position from its numbers.
 pub fn place(numbers: &[f32]) -> Vec3A {
     Vec3A::from_array([0, 1, 2].map(|axis| numbers[axis]))
 }

@@ -1,4 +1,4 @@
-//! Elements and links, counted by kind.
+//! Numbers of elements and links by kind.
 
 use crate::element::{Element, Kind};
 use crate::link::Link;
@@ -6,11 +6,11 @@ use crate::link::Link;
 /// Numbers by kind of element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Kinds {
-    /// Groups of surfaces. The light of each is kept by direction.
+    /// Groups of surfaces. The light of each is stored by direction.
     pub clusters: usize,
     /// Parts of surfaces with one normal, or nearly so.
     pub patches: usize,
-    /// Parts of surfaces too curved for one normal. The light of each is kept by direction.
+    /// Parts of surfaces too curved for one normal. The light of each is stored by direction.
     pub curved: usize,
     /// Boxes of fog.
     pub fog: usize,
@@ -29,20 +29,20 @@ impl Kinds {
         })
     }
 
-    /// All together.
+    /// Returns the total.
     pub fn total(self) -> usize {
         self.clusters + self.patches + self.curved + self.fog
     }
 }
 
-/// What a solution is made of, by kind.
+/// Numbers of elements and links of a solution by kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Census {
-    /// Elements, clusters among them.
+    /// Elements, including clusters.
     pub elements: Kinds,
-    /// Links among elements, by who receives.
+    /// Links among elements, by kind of the receiver.
     pub receivers: Kinds,
-    /// The same links, by who sends.
+    /// Links among elements, by kind of the source.
     pub senders: Kinds,
 }
 

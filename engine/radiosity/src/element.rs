@@ -6,14 +6,14 @@ use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::hash::combine;
 
-/// What an element is.
+/// Kind of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Elements near each other, seen as one.
+    /// A group of nearby elements, treated as one.
     Cluster,
-    /// A part of a surface that has about one normal: its light is linear over it.
+    /// A part of a surface with nearly one normal. Its light is linear over it.
     Patch,
-    /// A part of a curved surface with many normals: its light is a function of the normal alone.
+    /// A part of a curved surface with many normals. Its light is a function of only the normal.
     Ball,
     /// A box of fog.
     Fog,
@@ -23,50 +23,50 @@ pub enum Kind {
 #[derive(Clone, Debug)]
 pub struct Element {
     pub kind: Kind,
-    /// The element that it is a part of, or [`NONE`].
+    /// Element that contains this one, or [`NONE`].
     pub parent: u32,
     /// Its two parts, or [`NONE`].
     pub children: [u32; 2],
-    /// Its surface, or [`NONE`].
+    /// Surface of the element, or [`NONE`].
     pub surface: u32,
-    /// Where it lies in the surface's parameters.
+    /// Outline in the surface's parameters.
     pub outline: Outline,
-    /// Where it lies in its parent's.
+    /// Outline in the parent's parameters.
     pub in_parent: Outline,
-    /// How it is or would be cut.
+    /// Split of the element, existing or possible.
     pub split: Split,
-    /// Area, m2; of fog volume, m3.
+    /// Area, m2; volume of fog, m3.
     pub size: f32,
-    /// Middle and radius of a sphere around it.
+    /// Center and radius of a bounding sphere.
     pub center: Vec3A,
     pub radius: f32,
-    /// Middle of the box around it, and half of the box's edges.
+    /// Center of the bounding box, and half of the box's edges.
     pub middle: Vec3A,
     pub half: Vec3A,
-    /// Unit normal in its middle; zero of balls, fog, and clusters with more than one.
+    /// Unit normal at the center; zero for balls, fog, and clusters with more than one normal.
     pub normal: Vec3A,
-    /// The points that its light is known at: `count` of them; of clusters and balls the middle alone.
+    /// Points at which its light is known: `count` of them. Clusters and balls have only the center.
     pub nodes: [SurfaceSpot; 4],
     pub count: usize,
-    /// Corners, of polygons `corner_count` of them in order, else 0.
+    /// Corners: polygons have `corner_count` of them in order, other elements none.
     pub corners: [Vec3A; 4],
     pub corner_count: usize,
-    /// Share of the irradiance that it reflects, and that it lets through to the other side; of fog the scattering coefficient, 1/m.
+    /// Reflectance, and transmittance to the other side; for fog the scattering coefficient, 1/m.
     pub reflectance: Rgb,
     pub transmittance: Rgb,
-    /// Names it whatever order elements are made in.
+    /// Key that identifies the element, independent of the order in which elements are created.
     pub key: u64,
-    /// Place of its light by direction, of clusters and balls, else [`NONE`].
+    /// Index of the light by direction, for clusters and balls, else [`NONE`].
     pub wide: u32,
 }
 
-/// The points of a box of fog: four of its eight corners, drawn in, integrate what is quadratic.
+/// Nodes of a box of fog. Four of its eight corners, moved inward, integrate quadratic functions exactly.
 pub const FOG_NODES: [Vec3A; 4] = {
     const D: f32 = 0.577_350_26;
     [Vec3A::new(D, D, D), Vec3A::new(D, -D, -D), Vec3A::new(-D, D, -D), Vec3A::new(-D, -D, D)]
 };
 
-/// Cosine between an element's normals that are one no more.
+/// Cosine between an element's normals below which they no longer count as one.
 const ONE_NORMAL: f32 = 0.85;
 
 impl Element {
@@ -100,7 +100,7 @@ impl Element {
         Self::empty(Kind::Cluster, parent, key)
     }
 
-    /// A part of a surface. `inner`: where it lies in its parent; of a root in the surface's parameters.
+    /// Creates a part of a surface. `inner`: outline in its parent; for a root, in the surface's parameters.
     pub fn of_surface(
         scene: &Scene<'_>,
         surface: u32,
@@ -131,7 +131,7 @@ impl Element {
             element.corners = [Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::Y].map(|local| at(local).position);
             element.corner_count = 3;
         } else {
-            // Along curves, by chords.
+            // Length along curves, by chords.
             let length = |from: Vec2, to: Vec2| -> f32 {
                 let points = [0, 1, 2, 3, 4].map(|k| at(from.lerp(to, k as f32 * 0.25)).position);
                 points.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
@@ -143,7 +143,7 @@ impl Element {
             element.corner_count = if source.is_polygon() { 4 } else { 0 };
         }
         if source.side == femc_field::Side::Back {
-            // Counter-clockwise seen from the side.
+            // Counterclockwise as seen from the side.
             element.corners[..element.corner_count].reverse();
         }
         if source.is_polygon() {
@@ -173,7 +173,7 @@ impl Element {
         element
     }
 
-    /// A box of fog.
+    /// Creates a box of fog.
     pub fn of_fog(scene: &Scene<'_>, parent: Option<(u32, u64)>, [min, max]: [Vec3A; 2], part: u64) -> Self {
         let key = combine(&[parent.map_or(0x0f09, |(_, key)| key), part]);
         let mut element = Self::empty(Kind::Fog, parent.map_or(NONE, |(index, _)| index), key);
@@ -186,7 +186,7 @@ impl Element {
         for (node, place) in element.nodes.iter_mut().zip(FOG_NODES) {
             node.position = element.center + element.half * place;
         }
-        // Of fog that thins out upward the mean.
+        // For fog that thins out upward, the mean is used.
         let scattering = element.nodes.map(|node| scene.prepared.media.scattering_at(node.position));
         element.reflectance = scattering.into_iter().sum::<Rgb>() * 0.25;
         element
@@ -196,18 +196,18 @@ impl Element {
         self.children[0] == NONE
     }
 
-    /// How far above the plane through `point` with unit normal `normal` it reaches at most, m.
+    /// Returns the maximum height above the plane through `point` with unit normal `normal`, m.
     pub fn above(&self, point: Vec3A, normal: Vec3A) -> f32 {
         normal.dot(self.middle - point) + normal.abs().dot(self.half)
     }
 
-    /// Whether light is told by direction here.
+    /// Checks whether light is stored by direction here.
     pub fn is_wide(&self) -> bool {
         matches!(self.kind, Kind::Cluster | Kind::Ball)
     }
 
-    /// The value at a point of a linear function that is known at the nodes.
-    /// - `local`: the point, of a patch in its coordinates; of fog in halves of the box's edges from its middle.
+    /// Evaluates a linear function from its values at the nodes.
+    /// - `local`: the point, in a patch's coordinates; for fog, relative to the center in half edges of the box.
     pub fn between(&self, values: &[Rgb; 4], local: Vec3A) -> Rgb {
         let place = Vec2::new(local.x, local.y);
         match (self.kind, self.count) {
@@ -220,18 +220,18 @@ impl Element {
         }
     }
 
-    /// Of values at a box's nodes: that in the middle, and the change over half of an edge, by axis.
+    /// Converts the values at a box's nodes to the value at the center, and the changes over half an edge, by axis.
     pub fn fog_slopes(values: &[Rgb; 4]) -> [Rgb; 4] {
         let mut out = [Rgb::ZERO; 4];
         for (value, node) in values.iter().zip(FOG_NODES) {
             out[0] += *value * 0.25;
-            // The nodes' coordinates are orthogonal: their squares sum up to 4 / 3.
+            // The nodes' coordinates are orthogonal: their squares sum to 4 / 3.
             (0..3).for_each(|axis| out[1 + axis] += *value * (node[axis] * 0.75));
         }
         out
     }
 
-    /// Where a child's node lies, as [`Self::between`] wants it.
+    /// Returns the position of a child's node, as an argument of [`Self::between`].
     pub fn local_of(&self, child: &Self, node: usize) -> Vec3A {
         if self.kind == Kind::Fog {
             return (child.nodes[node].position - self.center) / self.half;

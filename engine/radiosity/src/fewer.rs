@@ -1,8 +1,8 @@
-//! Few that stand for many.
+//! Selection of a few items that represent many.
 
-/// Items that stand for all, and what each stands for: `most` of equal weights, of which an item that is heavy has several.
-/// - `weight`: of an item; at least 0, finite;
-/// - returns all items, each for itself, if these are no more.
+/// Selects items that represent all, with weights: at most `most` units of equal weight. A heavy item gets several units.
+/// - `weight`: weight of an item; at least 0, finite;
+/// - returns all items with their own weights if there are no more than `most`.
 pub fn fewer<T: Copy>(items: &[T], most: usize, weight: impl Fn(&T) -> f64) -> Vec<(T, f64)> {
     if items.len() <= most {
         return items.iter().map(|item| (*item, weight(item))).collect();

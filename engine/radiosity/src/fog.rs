@@ -1,4 +1,4 @@
-//! What is kept of the fog of a solution.
+//! Fog of a solution in the form that is kept.
 
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
@@ -9,10 +9,10 @@ use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
 
-/// Points by axis at which a box is asked for its fog, where that is not the same everywhere.
+/// Number of points by axis at which the fog of a box is evaluated if it varies.
 const GRID: u32 = 4;
 
-/// Boxes of fog with their light and coefficients; `None` if some light is not finite, or negative.
+/// Returns the boxes of fog with their light and coefficients. `None` if some light is not finite, or negative.
 pub fn tree(scene: &Scene<'_>, arena: &Arena, lights: &Lights) -> Option<FogTree> {
     let mut cells = Vec::new();
     let mut order = vec![arena.fog];
@@ -34,7 +34,8 @@ pub fn tree(scene: &Scene<'_>, arena: &Arena, lights: &Lights) -> Option<FogTree
     FogTree::new([root.center - root.half, root.center + root.half], &cells)
 }
 
-/// - `values`: a quarter of what comes from all around, at the nodes, lx.
+/// Creates the leaf of a box of fog.
+/// - `values`: a quarter of the light from all directions, at the nodes, lx.
 fn leaf(scene: &Scene<'_>, element: &Element, values: &[Rgb; 4]) -> FogLeaf {
     let [middle, slopes @ ..] = Element::fog_slopes(values);
     // Slopes over whole edges.
@@ -43,7 +44,7 @@ fn leaf(scene: &Scene<'_>, element: &Element, values: &[Rgb; 4]) -> FogLeaf {
     FogLeaf { mean: [middle / PI, x, y, z], sigma_s, sigma_t }.limited()
 }
 
-/// Means over a box of scattering and extinction coefficient, 1/m.
+/// Returns the mean scattering and extinction coefficients of a box, 1/m.
 fn coefficients(scene: &Scene<'_>, element: &Element) -> [Rgb; 2] {
     debug_assert_eq!(element.kind, Kind::Fog);
     let at = |point: Vec3A| {

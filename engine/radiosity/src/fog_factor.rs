@@ -1,4 +1,4 @@
-//! What a point receives of a box of fog.
+//! Form factors between points and boxes of fog.
 
 use crate::element::{Element, FOG_NODES, Kind};
 use crate::form_factor::{polygon, solid_angle};
@@ -10,20 +10,22 @@ use femc_math::elementary::{exp, ln};
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
 
-/// Light of a small surface at a spot: the spot, the surface's, its area.
+/// Kernel of a small surface at a spot: the spot, the surface's spot, its area.
 type Kernel = fn(&SurfaceSpot, &SurfaceSpot, f32) -> f32;
 
-/// Points by axis on a face of a box of fog.
+/// Number of points by axis on a face of a box of fog.
 pub const FACE: u32 = 5;
 
-/// A point is no nearer to a face of a box of fog than this share of the box's radius, for the choice of places on the face.
+/// Minimum distance between a point and a face of a box of fog, as a share of the box's radius, for the choice of points on the
+/// face.
 const NEAREST: f32 = 1e-4;
 
-/// Where the edge of a box of fog is looked at, in halves of its edges from its middle.
+/// Position of the test point at the edge of a box of fog, in half edges from its center.
 const AT_EDGE: f32 = 0.9;
 
 impl Judge<'_> {
-    /// By how much what a box of fog receives of a surface or of another box at the edge next to it differs from what its nodes say of that place.
+    /// Returns the difference, at the edge of a box of fog next to a surface or another box, between the light received there and
+    /// the value interpolated from the nodes.
     pub fn missed_at_edge(&self, p: &Element, q: &Element, factors: &[f32; 4], eye: &mut Eye) -> f32 {
         let nearest = ((q.center - p.center) / p.half).clamp(Vec3A::NEG_ONE, Vec3A::ONE) * AT_EDGE;
         let spot = SurfaceSpot { position: p.center + p.half * nearest, ..SurfaceSpot::default() };
@@ -31,7 +33,7 @@ impl Judge<'_> {
         (self.factor(p, q, &spot, eye) - linear).abs()
     }
 
-    /// Of a box of fog. Near it by its faces, see [`of_box`].
+    /// Computes the factor of a box of fog as the source. Near the box it uses its faces, see [`of_box`].
     pub fn factor_of_fog(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
         let way = q.center - node.position;
         let mut distance2 = way.length_squared();
@@ -50,22 +52,23 @@ impl Judge<'_> {
             if share <= 0.0 {
                 return 0.0;
             }
-            // Mean over the box of what decays along the way, by its value in the middle.
+            // Mean over the box of the decay along the way, relative to its value at the center.
             let decay = q.half * way.abs() * (extinction / distance);
             let spread = |x: f32| 1.0 + x * x * (1.0 / 6.0 + x * x * (1.0 / 120.0 + x * x / 5040.0));
             let through = decay.to_array().into_iter().map(spread).product::<f32>()
                 * eye.fog(self.scene, node.position, q.center);
             return share * q.size / (4.0 * PI * distance2) * through;
         }
-        // Fewer points where the distances to a face differ less.
+        // Fewer points suffice where the distances to a face differ less.
         let count = if distance > 1.5 * q.radius { 3 } else { FACE };
         of_box(extinction, (q.center, q.half), node, p.kind == Kind::Patch, count as usize)
     }
 
-    /// Of a wide source at a box of fog: at a point as from the source's middle, in the box around that as the box has on average.
+    /// Computes the factor of a wide source at a box of fog. At a point outside, it is that of the source's center. Inside the box
+    /// around the source, it is the mean over the box.
     pub fn factor_at_fog(&self, p: &Element, q: &Element, distance2: f32, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
         if (q.center - p.center).abs().cmple(p.half).all() {
-            // A quarter of 4 pi times the way that light goes in the box, by its volume.
+            // A quarter of 4 pi times the path length of light in the box, divided by its volume.
             let length = along(self.extinction(p), p.half.min_element());
             return PI * length / p.size;
         }
@@ -73,9 +76,10 @@ impl Judge<'_> {
     }
 }
 
-/// Share of the radiosity (per m) of an even box of fog that a point receives, m, by the box's faces: of all directions through a face the
-/// length of fog from the point to there, which is that up to the far faces less that up to the near ones.
-/// - `count`: points on a face by axis, at most [`FACE`].
+/// Returns the share of the radiosity (per m) of a homogeneous box of fog that a point receives, m. It uses the box's faces: for
+/// all directions through a face, the length of fog from the point to the face. The lengths up to the far faces count positive,
+/// those up to the near faces negative.
+/// - `count`: number of points on a face by axis, at most [`FACE`].
 fn of_box(extinction: f32, (center, half): (Vec3A, Vec3A), node: &SurfaceSpot, on_surface: bool, count: usize) -> f32 {
     let (mut sum, least) = (0.0, NEAREST * half.length());
     for axis in 0..3 {
@@ -85,7 +89,7 @@ fn of_box(extinction: f32, (center, half): (Vec3A, Vec3A), node: &SurfaceSpot, o
             u[(axis + 1) % 3] = half[(axis + 1) % 3];
             v[(axis + 2) % 3] = half[(axis + 2) % 3];
             let middle = center + out;
-            // Counter-clockwise seen from the side of the point; near faces count against.
+            // Counterclockwise as seen from the side of the point. Near faces count negative.
             let inward = out.dot(node.position - middle) < 0.0;
             if (side > 0.0) == inward {
                 std::mem::swap(&mut u, &mut v);
@@ -105,8 +109,8 @@ fn of_box(extinction: f32, (center, half): (Vec3A, Vec3A), node: &SurfaceSpot, o
     sum.max(0.0)
 }
 
-/// Mean length of fog, as [`along`] has it, from a point to a face with this middle and these halves of its edges.
-/// - `least`: the point is no nearer to the face than this for the choice of places on it, m.
+/// Returns the mean length of fog, as by [`along`], from a point to a face with this center and these half edges.
+/// - `least`: minimum distance of the point to the face for the choice of points on it, m.
 fn mean_length(
     extinction: f32,
     (middle, u, v): (Vec3A, Vec3A, Vec3A),
@@ -135,11 +139,12 @@ fn mean_length(
     if weight > 0.0 { length / weight } else { along(extinction, middle.distance(node.position)) }
 }
 
-/// Places on a stretch beside a point, in units of the point's distance from the stretch's line, and their weights: where the stretch is
-/// near the point they are close to each other, as the light from there asks for.
-/// - `ends`: from the foot of the point; `count`: at most [`FACE`].
+/// Returns positions on a stretch near a point, in units of the point's distance from the stretch's line, and their weights. They
+/// are dense where the stretch is near the point, where the light changes most.
+/// - `ends`: ends relative to the foot of the point;
+/// - `count`: number of positions, at most [`FACE`].
 fn steps(ends: [f32; 2], count: usize) -> [(f32, f32); FACE as usize] {
-    // Even steps of the area hyperbolic sine, by its exponential.
+    // Equal steps of the area hyperbolic sine, computed with its exponential.
     let [from, to] = ends.map(|x| {
         let e = x.abs() + (x * x + 1.0).sqrt();
         if x < 0.0 { 1.0 / e } else { e }
@@ -154,11 +159,11 @@ fn steps(ends: [f32; 2], count: usize) -> [(f32, f32); FACE as usize] {
     steps
 }
 
-/// Length of fog that sends as much light as all up to a distance does, seen through itself: m.
+/// Returns the length of unattenuated fog that sends as much light as all fog up to a distance does through itself, m.
 pub fn along(extinction: f32, distance: f32) -> f32 {
     let x = extinction * distance;
     if x < 0.35 {
-        // Its series: a tenth of the time that the function takes.
+        // The series takes a tenth of the time of the function.
         let more = x * (1.0 / 24.0 - x * (1.0 / 120.0 - x / 720.0));
         return distance * (1.0 - x * (0.5 - x * (1.0 / 6.0 - more)));
     }
@@ -169,7 +174,7 @@ pub fn along(extinction: f32, distance: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// By directions: the fog from where a ray enters the box, or begins, to where it leaves it.
+    /// Reference by directions: the fog from where a ray enters the box, or begins, to where it leaves it.
     fn by_directions(extinction: f32, center: Vec3A, half: Vec3A, point: Vec3A) -> f64 {
         const N: u32 = 1000;
         let of = |k: u32| {
@@ -183,7 +188,7 @@ mod tests {
         (0..N * N).map(of).sum::<f64>() / f64::from(N * N)
     }
 
-    /// In a box, at its face, over its edge; beside boxes that are larger and smaller, thick and thin.
+    /// Points in a box, at its face, and over its edge, for boxes that are larger and smaller, thick and thin.
     #[test]
     fn a_point_receives_of_a_box_what_all_directions_bring() {
         let boxes = [

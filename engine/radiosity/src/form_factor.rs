@@ -1,24 +1,24 @@
-//! Form factors from a point: what share of a source's light a point receives, before anything is in between.
+//! Form factors from a point: the share of a source's light that a point receives without occlusion.
 
 use femc_math::cross;
 use femc_math::elementary::atan2;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
 
-/// A polygon that rises above the horizon of a point by less than this share of its distance lies in the plane of the point: it
-/// sends nothing there. Lambert's formula has no value for it: a two-sided lamp would light itself.
+/// Height of a polygon above the horizon of a point, as a share of its distance, below which it counts as in the plane of the
+/// point: it sends nothing there. Lambert's formula has no value for it: a two-sided lamp would light itself.
 const IN_PLANE: f32 = 1e-5;
-/// A surface farther than this many times its radius is taken as a point.
+/// Distance in radii beyond which a surface is treated as a point.
 const FAR: f32 = 30.0;
 
-/// Lambert's formula: form factor from a point with unit normal to a polygon, which sends from the side that sees its corners
-/// counter-clockwise; the part below the point's horizon is cut off. At most 1.
+/// Computes Lambert's formula: the form factor from a point with unit normal to a polygon, which sends from the side that sees its
+/// corners counterclockwise. The part below the point's horizon is clipped. At most 1.
 pub fn polygon(point: Vec3A, normal: Vec3A, corners: &[Vec3A]) -> f32 {
     let reach = corners.iter().map(|&corner| (corner - point).length()).fold(0.0, f32::max);
     if corners.iter().all(|&corner| normal.dot(corner - point) <= IN_PLANE * reach) {
         return 0.0;
     }
-    // By rounding a polygon in the horizon may cross it at every edge.
+    // By rounding, a polygon in the horizon may cross it at every edge.
     let mut above = [Vec3A::ZERO; 8];
     let mut count = 0;
     for (k, &corner) in corners.iter().enumerate() {
@@ -41,15 +41,15 @@ pub fn polygon(point: Vec3A, normal: Vec3A, corners: &[Vec3A]) -> f32 {
             let (a, b) = (above[k], above[(k + 1) % count]);
             let across = cross(a, b);
             let sine = across.length();
-            // The edge goes through the point, or is a point: it adds nothing.
+            // An edge that goes through the point, or is a point, contributes nothing.
             if sine > 0.0 { atan2(sine, a.dot(b)) * normal.dot(across) / sine } else { 0.0 }
         })
         .sum();
-    // Seen counter-clockwise from the point, the corners turn the other way about its normal.
+    // Corners that are counterclockwise as seen from the point turn the other way around its normal.
     (-sum / (2.0 * PI)).clamp(0.0, 1.0)
 }
 
-/// Solid angle of a polygon from a point on the side that sees its corners counter-clockwise, sr; 0 from behind.
+/// Returns the solid angle of a polygon from a point on the side that sees its corners counterclockwise, sr; 0 from behind.
 pub fn solid_angle(point: Vec3A, corners: &[Vec3A]) -> f32 {
     let mut sum = 0.0;
     for k in 1..corners.len() - 1 {
@@ -60,7 +60,7 @@ pub fn solid_angle(point: Vec3A, corners: &[Vec3A]) -> f32 {
     sum.max(0.0)
 }
 
-/// Whether a surface is more than a point from there.
+/// Checks whether a surface is too near to be treated as a point.
 pub fn is_near(distance2: f32, radius: f32) -> bool {
     distance2 < FAR * FAR * radius * radius
 }
@@ -91,15 +91,15 @@ mod tests {
         let mut behind = square;
         behind.reverse();
         assert_eq!(polygon(Vec3A::ZERO, Vec3A::Z, &behind), 0.0);
-        // A wall of height 2 and endless breadth, half below the horizon, has half of what is above it.
+        // A wall of height 2 and infinite width, half below the horizon, has the factor of its upper half.
         let wall = |low: f32| [[-1e3, low], [-1e3, 1.0], [1e3, 1.0], [1e3, low]].map(|[y, z]| Vec3A::new(1.0, y, z));
         let (cut, above) = (polygon(Vec3A::ZERO, Vec3A::Z, &wall(-1.0)), polygon(Vec3A::ZERO, Vec3A::Z, &wall(0.0)));
         assert!((cut - above).abs() < 1e-6 && cut > 0.0, "{cut} {above}");
-        // Of an endless strip from the horizon up to 45 degrees: (1 - cos 45) / 2.
+        // The factor of an infinite strip from the horizon to 45 degrees: (1 - cos 45) / 2.
         assert!((above - 0.5 * (1.0 - 0.5f32.sqrt())).abs() < 1e-3, "{above}");
     }
 
-    /// Corners by rounding above and below the horizon in turn (the kitchen soda.mgf had such).
+    /// Corners that are alternately above and below the horizon by rounding (as in the kitchen soda.mgf).
     #[test]
     fn a_polygon_in_the_horizon_is_no_panic_and_gives_nothing() {
         let zigzag = [[1.0, 0.0, 1e-7], [2.0, 0.0, -1e-7], [2.0, 1.0, 1e-7], [1.0, 1.0, -1e-7]].map(Vec3A::from);

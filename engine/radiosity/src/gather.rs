@@ -1,4 +1,4 @@
-//! Gathering through links, and light up and down the tree.
+//! Gathering of light through links, and its transport down and up the tree.
 
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
@@ -13,19 +13,19 @@ use rayon::prelude::*;
 /// The light of an element.
 #[derive(Clone, Copy, Debug)]
 pub struct Light {
-    /// Irradiance at the nodes, lx, that came by the element's own links with light sources, and by those with elements.
+    /// Irradiance at the nodes, lx, received through the element's own links from light sources, and from elements.
     pub own: [[Rgb; 4]; 2],
-    /// The same with what came to the elements above it.
+    /// Irradiance at the nodes including that of the elements above it, lx.
     pub whole: [[Rgb; 4]; 2],
-    /// Mean radiosity, lx; of fog per m.
+    /// Mean radiosity, lx; for fog per m.
     pub radiosity: Rgb,
     /// Bounds of the radiosity's luminance over the parts.
     pub darkest: f32,
     pub brightest: f32,
-    /// Mean irradiance, by luminance, and that of the darkest part.
+    /// Mean irradiance, by luminance, and the mean irradiance of the darkest part.
     pub mean: f32,
     pub least: f32,
-    /// Of wide elements: what they send, by direction; cd.
+    /// Intensity by direction that wide elements send, cd.
     pub sent: Harmonics,
 }
 
@@ -42,12 +42,13 @@ impl Light {
     };
 }
 
-/// By wide element: light that arrives, by direction, of sources and of elements: its own, and with that of the elements above.
+/// Arriving light of a wide element by direction, from sources and from elements: through its own links, and including that of the
+/// elements above.
 #[derive(Clone, Copy, Debug)]
 pub struct Arriving {
     pub own: [Harmonics; 2],
     pub whole: [Harmonics; 2],
-    /// Of a ball: what rays find beyond what links bring.
+    /// Light of a ball that rays find in addition to that of the links.
     pub more: Harmonics,
 }
 
@@ -55,25 +56,25 @@ impl Arriving {
     pub const NOTHING: Self = Self { own: [Harmonics::ZERO; 2], whole: [Harmonics::ZERO; 2], more: Harmonics::ZERO };
 }
 
-/// Which light is meant.
+/// Indices of the kinds of light.
 pub const FROM_SOURCES: usize = 0;
 pub const FROM_ELEMENTS: usize = 1;
 
-/// What becomes of irradiance that is more than there can be.
+/// Treatment of irradiance that exceeds the possible maximum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bound {
-    /// It stays.
+    /// No bound: the irradiance stays.
     None,
-    /// It is left out from now on, so that light cannot grow from reflection to reflection.
+    /// The excess is removed from now on, so that light cannot grow from reflection to reflection.
     RowSums,
 }
 
-/// Irradiance that a point may have where all have a radiosity of 1.
+/// Maximum irradiance of a point if all elements have a radiosity of 1.
 const BEYOND: f32 = 1.1;
-/// Share of the light that a reflection may pass on at most, by that bound.
+/// Maximum share of the light that a reflection may pass on under that bound.
 const DECAY: f32 = 0.99;
 
-/// Normals at which a ball's light is looked at.
+/// Number of normals at which a ball's light is evaluated.
 const AROUND: usize = 16;
 
 /// Light of all elements.
@@ -81,14 +82,14 @@ const AROUND: usize = 16;
 pub struct Lights {
     pub of: Vec<Light>,
     pub arriving: Vec<Arriving>,
-    /// By element: share of what links bring to the nodes that is taken, see [`Lights::row_sum`].
+    /// Accepted share of the links' light at the nodes, by element, see [`Lights::row_sum`].
     pub taken: Vec<[f32; 4]>,
-    /// By element: what rays find at the nodes beyond that, lx; see [`crate::rays`].
+    /// Light that rays find at the nodes in addition to that, by element, lx; see [`crate::rays`].
     pub more: Vec<[Rgb; 4]>,
 }
 
 impl Lights {
-    /// Bytes of an element's light, without that by direction.
+    /// Number of bytes of an element's light, without the light by direction.
     pub const BYTES: usize = size_of::<Light>() + size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>();
 
     pub fn new(arena: &Arena) -> Self {
@@ -101,7 +102,7 @@ impl Lights {
         }
     }
 
-    /// Room for elements that are new, which begin with their parents' light.
+    /// Allocates new elements, which begin with their parents' light.
     pub fn grow(&mut self, arena: &Arena) {
         for element in &arena.elements[self.of.len()..] {
             let parent = self.of[element.parent as usize];
@@ -114,13 +115,14 @@ impl Lights {
         self.more.resize(arena.elements.len(), [Rgb::ZERO; 4]);
     }
 
-    /// All that links bring is taken.
+    /// Accepts all light of the links.
     pub fn unbounded(&mut self) {
         self.taken.fill([1.0; 4]);
     }
 
-    /// Greatest irradiance of a point where all elements have a radiosity of 1, and the fog that of its extinction: 1 in a closed scene, if
-    /// all links were exact. The bound is [`BEYOND`], or less where elements reflect so much that light would grow with that.
+    /// Returns the greatest irradiance of a point if all elements have a radiosity of 1, and the fog that of its extinction. It is
+    /// 1 in a closed scene if all links are exact. The bound is [`BEYOND`], or less if elements reflect so much that light would
+    /// still grow.
     pub fn row_sum(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link], then: Bound) -> f32 {
         let (of, arriving) = (self.of.clone(), self.arriving.clone());
         for index in (0..arena.elements.len()).rev() {
@@ -167,7 +169,7 @@ impl Lights {
         most
     }
 
-    /// Gathers irradiance by all links, whose order is by receiver. What each receiver gets is added in the links' order.
+    /// Gathers irradiance through all links, which are sorted by receiver. The light of each receiver is added in the links' order.
     pub fn gather(&mut self, arena: &Arena, links: &[Link]) {
         let rows: Vec<&[Link]> = links.chunk_by(|a, b| a.receiver == b.receiver).collect();
         let of = &self.of;
@@ -189,8 +191,8 @@ impl Lights {
         }
     }
 
-    /// Down the tree with what arrives, up with what is sent. Returns by how much the light that leaves all elements has changed, and
-    /// all of it, lm: of elements next to each other the changes' sizes are added.
+    /// Transports arriving light down the tree, and sent light up. Returns the change of the light that leaves all elements, and
+    /// the total, lm. The changes are sums of the absolute changes of the leaves.
     pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> (f64, f64) {
         self.push_all(arena);
         let (mut change, mut whole) = (0.0, 0.0);
@@ -200,7 +202,7 @@ impl Lights {
                 self.reflect(scene, arena, index);
                 let now = self.of[index].radiosity;
                 let element = &arena.elements[index];
-                // A box of fog sends to all around four times what a surface of its radiosity does.
+                // A box of fog sends in all directions four times as much as a surface of its radiosity.
                 let size = f64::from(if element.kind == Kind::Fog { 4.0 * element.size } else { element.size });
                 change += size * f64::from(luminance((now - before).abs()));
                 whole += size * f64::from(luminance(now));
@@ -211,7 +213,7 @@ impl Lights {
         (change, whole)
     }
 
-    /// Down the tree with what arrives.
+    /// Transports arriving light down the tree.
     pub fn push_all(&mut self, arena: &Arena) {
         (0..arena.elements.len()).for_each(|index| self.push(arena, index));
     }
@@ -236,7 +238,7 @@ impl Lights {
                     *value += if above.is_wide() {
                         let light = &self.arriving[above.wide as usize].whole[kind];
                         match element.kind {
-                            // Of light from all directions a point of fog has a quarter.
+                            // A point of fog receives a quarter of the light from all directions.
                             Kind::Fog => (light.total() * 0.25).max(Rgb::ZERO),
                             _ => light.cosine(element.nodes[node].normal),
                         }
@@ -249,7 +251,7 @@ impl Lights {
         self.of[index].whole = whole;
     }
 
-    /// What an element's nodes receive of sources or of elements.
+    /// Returns the irradiance at an element's nodes from sources or from elements.
     pub fn at_nodes(&self, index: usize, from: usize) -> [Rgb; 4] {
         let mut values = self.of[index].whole[from];
         if from == FROM_ELEMENTS {
@@ -259,13 +261,13 @@ impl Lights {
         values
     }
 
-    /// What a curved element receives of them, by direction.
+    /// Returns the light by direction that a curved element receives from sources or from elements.
     pub fn around(&self, element: &Element, index: usize, from: usize) -> Harmonics {
         let Arriving { whole, more, .. } = self.arriving[element.wide as usize];
         if from == FROM_ELEMENTS { whole[from] * Rgb::splat(self.taken[index][0]) + more } else { whole[from] }
     }
 
-    /// What a leaf sends of what it receives.
+    /// Computes the light that a leaf sends from the light that it receives.
     fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
         let behind = self.behind(scene, arena, element);
@@ -303,7 +305,7 @@ impl Lights {
         (light.darkest, light.brightest) = (darkest, brightest);
     }
 
-    /// Mean irradiance of the other side where light comes through.
+    /// Returns the mean irradiance of the other side if the surface transmits light.
     fn behind(&self, scene: &Scene<'_>, arena: &Arena, element: &Element) -> Rgb {
         if element.transmittance == Rgb::ZERO || element.kind == Kind::Fog {
             return Rgb::ZERO;
@@ -313,7 +315,7 @@ impl Lights {
         if root == NONE {
             return Rgb::ZERO;
         }
-        // Both sides are cut alike, one perhaps further.
+        // Both sides are split alike, though one may be split further.
         let middle = if element.corner_count == 3 { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
         let (index, _) = arena.part_at(root, element.outline.at(middle), 0.0);
         let other = &arena.elements[index as usize];
@@ -356,7 +358,7 @@ impl Lights {
     }
 }
 
-/// What a curved element sends, cd, by the radiosity at points around it.
+/// Returns the intensity of a curved element by direction, cd, from the radiosity at points around it.
 fn sent_of(scene: &Scene<'_>, element: &Element, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
     let surface = &scene.surfaces[element.surface as usize];
     let mut sent = Harmonics::ZERO;
@@ -386,7 +388,7 @@ fn row_of(arena: &Arena, of: &[Light], row: &[Link]) -> ([Rgb; 4], Harmonics) {
     (nodes, arriving)
 }
 
-/// Whether an element's outline is of use to the field.
+/// Returns the cell of an element for the field.
 pub fn cell_of(element: &Element, next: u32) -> Cell {
     Cell { outline: element.in_parent, split: crate::arena::split_of(element), next }
 }

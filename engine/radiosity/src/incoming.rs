@@ -1,7 +1,8 @@
-//! Where the light of a leaf comes from, as the guides of the field have it.
+//! Guides of the field: the directions from which the light of a leaf comes.
 //!
-//! Links and rays tell along which ways light comes to a group of leaves, and lobes are made of these ([`crate::lobes`]). A group has a guide
-//! only if that lowers the variance of a sample of the direction, by the links and by the rays that the lobes were not made of.
+//! Links and rays give the ways along which light reaches a group of leaves. Lobes are fitted to these ways ([`crate::lobes`]). A
+//! group has a guide only if it lowers the variance of a sample of the direction. This is tested with the links and with the rays
+//! that were not used for the fit.
 
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
@@ -20,42 +21,42 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::f32::consts::PI;
 
-/// Cells of directions by axis of a square, over which the hemisphere is spread.
+/// Number of cells of directions by axis of a square, onto which the hemisphere is mapped.
 const GRID: usize = 8;
 const CELLS: usize = GRID * GRID;
-/// A source is taken in parts where its radius is more than this share of the distance.
+/// Minimum radius of a source that is divided into parts, as a share of the distance.
 const LARGE: f32 = 0.3;
-/// Parts of a link's source at most.
+/// Maximum number of parts of a link's source.
 const PARTS: usize = 64;
-/// Shares of directions that are drawn by lobes, of which the best is taken.
+/// Candidates for the share of directions that are sampled from lobes. The best is chosen.
 const SHARES: [f32; 4] = [0.125, 0.25, 0.5, 0.75];
-/// Ways that a guide is made of at least, if the surface has so many: as many of equal light as would tell as much.
+/// Minimum effective number of ways for a guide, if the surface has that many. The effective number is that of equally bright ways.
 const ENOUGH: f32 = 50.0;
-/// Share of a group's mean irradiance that is added to a leaf's when their light is weighed against each other.
+/// Share of a group's mean irradiance that is added to a leaf's when the leaves' light is compared.
 const EVEN: f32 = 0.2;
-/// Variance of a sample with the guide over that without it from which on there is none.
+/// Maximum variance of a sample with the guide, relative to that without it. Above, there is no guide.
 const WORTH: f32 = 0.75;
-/// How much brighter than the mean a way is from which on portals are sought by it.
+/// Minimum brightness of a way relative to the mean, for the search for portals.
 const BRIGHT: f32 = 8.0;
-/// Share of a lobe toward a portal that none of a group's rays has found.
+/// Share of a lobe toward a portal that no ray of the group has found, for rays.
 const SEEK: f32 = 0.25;
-/// The same for paths.
+/// Share of a lobe toward a portal that no ray of the group has found, for paths.
 const BEWARE: f32 = 0.1;
-/// Share of rays that go toward lobes where portals are sought.
+/// Share of rays toward lobes in the search for portals.
 const AIMED: f32 = 0.25;
 
-/// What directions are drawn for.
+/// Purpose of sampled directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// For paths: where what is known says that it lowers the variance.
+    /// Paths: a guide is used only if it is known to lower the variance.
     Paths,
-    /// For further rays of the first pass: more of them toward portals that no ray of the group has found so far.
+    /// Further rays of the first pass: more of them go toward portals that no ray of the group has found so far.
     Rays,
 }
 
-/// Of each group of leaves the share of directions that its lobes are to draw, and the lobes. Leaves next to each other have one guide
-/// together, so that it is made of as many rays as it takes: what few rays find lights all of them.
-/// - `links`: by receiver, ascending.
+/// Computes, for each group of leaves, the share of directions to sample from its lobes, and the lobes. Adjacent leaves share one
+/// guide, so that it is based on enough rays: light that few rays find reaches all of these leaves.
+/// - `links`: links by receiver, ascending.
 pub fn of_groups(
     scene: &Scene<'_>,
     arena: &Arena,
@@ -98,8 +99,8 @@ pub fn of_groups(
         .collect()
 }
 
-/// The guides of all leaves, in the order of `leaves`, and their lobes, by what was found for groups of leaves, in order. A leaf that
-/// is in no group has none.
+/// Returns the guides of all leaves, in the order of `leaves`, and their lobes, from the results of groups of leaves, in order. A
+/// leaf without a group has no guide.
 pub fn joined<'a>(
     groups: impl Iterator<Item = (&'a [u32], (f32, Vec<Lobe>))>,
     leaves: &[u32],
@@ -115,13 +116,13 @@ pub fn joined<'a>(
     (guides, lobes)
 }
 
-/// The portals of a scene, by what rays have found.
+/// Returns the portals of a scene, found from rays.
 pub fn portals(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves: &[u32]) -> Vec<Portal> {
     let area = |&leaf: &u32| f64::from(arena.elements[leaf as usize].size);
     portals::find(&bright(scene, arena, lights, rays, leaves), leaves.iter().map(area).sum())
 }
 
-/// Ways that are much brighter than others that come to the same leaf.
+/// Returns ways that are much brighter than the mean of their leaf.
 fn bright(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves: &[u32]) -> Vec<Line> {
     let light = |leaf: u32| f64::from(arena.elements[leaf as usize].size * lights.of[leaf as usize].mean);
     let roots: Vec<u32> = leaves.iter().map(|&leaf| root(arena, leaf)).collect();
@@ -149,7 +150,7 @@ fn bright(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves
     leaves.par_iter().zip(&roots).flat_map_iter(of).collect()
 }
 
-/// The surface of a leaf, as a whole.
+/// Returns the root element of a leaf's surface.
 fn root(arena: &Arena, leaf: u32) -> u32 {
     let mut at = leaf;
     loop {
@@ -161,8 +162,8 @@ fn root(arena: &Arena, leaf: u32) -> u32 {
     }
 }
 
-/// Lobes with all portals in front of a group among them: rays are to seek there what none of the group has found, and paths are not to be
-/// surprised by it.
+/// Adds lobes for all portals in front of a group that it has no lobe for. Rays must search there for light that the group has not
+/// found, and paths must sample it before they hit it by chance.
 fn toward(
     (share, mut lobes): (f32, Vec<Lobe>),
     group: &Element,
@@ -185,8 +186,8 @@ fn toward(
     (share.max(least), lobes)
 }
 
-/// The smallest parts of surfaces that have [`ENOUGH`] ways, or whole surfaces, and their leaves.
-/// - `light`: by leaf that of its ways, and the sum of its squares.
+/// Returns the smallest parts of surfaces that have [`ENOUGH`] ways, or whole surfaces, with their leaves.
+/// - `light`: by leaf, the light of its ways and the sum of its squares.
 pub fn groups(arena: &Arena, leaves: &[u32], light: &[(u32, [f32; 2])]) -> Vec<(u32, Vec<u32>)> {
     let mut sums = vec![[0.0f32; 2]; arena.elements.len()];
     for &(leaf, of) in light {
@@ -218,7 +219,7 @@ pub fn groups(arena: &Arena, leaves: &[u32], light: &[(u32, [f32; 2])]) -> Vec<(
     groups.chunk_by(|a, b| a.0 == b.0).map(|of| (of[0].0, of.iter().map(|&(_, leaf)| leaf).collect())).collect()
 }
 
-/// What the links of a leaf and of all elements above it bring.
+/// Adds the light of the links of a leaf and of all elements above it.
 fn by_links(arena: &Arena, lights: &Lights, links: &[Link], leaf: u32, parts: &mut Vec<Part>) {
     let receiver = &arena.elements[leaf as usize];
     let mut at = leaf;
@@ -244,12 +245,12 @@ fn by_links(arena: &Arena, lights: &Lights, links: &[Link], leaf: u32, parts: &m
     }
 }
 
-/// Cosine at a receiver; of a curved one its mean.
+/// Returns the cosine at a receiver; for a curved one its mean.
 fn cosine(receiver: &Element, dir: Vec3A) -> f32 {
     if receiver.normal == Vec3A::ZERO { 0.25 } else { receiver.normal.dot(dir).max(0.0) }
 }
 
-/// A source's light, in as many parts as it is large.
+/// Divides a source's light into parts, more for a larger source.
 fn in_parts(arena: &Arena, lights: &Lights, receiver: &Element, source: u32, amount: f32, parts: &mut Vec<Part>) {
     let mut open = vec![(source, amount)];
     let end = parts.len() + PARTS;
@@ -260,7 +261,7 @@ fn in_parts(arena: &Arena, lights: &Lights, receiver: &Element, source: u32, amo
         if is_small || q.is_leaf() || parts.len() + open.len() >= end {
             let origin = receiver.nodes[parts.len() % receiver.count].position;
             if q.kind == Kind::Patch {
-                // Each node stands for its share of the area.
+                // Each node represents its share of the area.
                 let amount = amount / q.count as f32;
                 let spread = q.size / (PI * q.count as f32);
                 let part = |node: &SurfaceSpot| Part { origin, target: node.position, spread, amount };
@@ -290,8 +291,8 @@ fn in_parts(arena: &Arena, lights: &Lights, receiver: &Element, source: u32, amo
     }
 }
 
-/// Cell of a direction in a frame whose z is the normal: by the square of the sine and by the angle, so that all have the same share
-/// of the cosine.
+/// Returns the cell of a direction in a frame whose z is the normal. The coordinates are the squared sine and the angle, so that
+/// all cells have equal shares of the cosine distribution.
 fn cell(local: Vec3A) -> usize {
     let turn = atan2(local.y, local.x) / (2.0 * PI);
     let place = [1.0 - local.z * local.z, if turn < 0.0 { turn + 1.0 } else { turn }];
@@ -299,14 +300,14 @@ fn cell(local: Vec3A) -> usize {
     row * GRID + column
 }
 
-/// A direction of a cell, by its place there.
+/// Returns a direction of a cell, from a position in the cell.
 fn direction(cell: usize, place: [f32; 2]) -> Vec3A {
     let row = ((cell / GRID) as f32 + place[0]) / GRID as f32;
     let column = ((cell % GRID) as f32 + place[1]) / GRID as f32;
     warp::direction((1.0 - row).max(0.0).sqrt(), column)
 }
 
-/// The lobes of a leaf, and the share of directions that they are to draw; no lobes where they gain nothing.
+/// Returns the lobes of a leaf, and the share of directions to sample from them; no lobes if they gain nothing.
 fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -> (f32, Vec<Lobe>) {
     let nothing = (0.0, Vec::new());
     let by_links: f32 = links.iter().map(|part| part.amount).sum();
@@ -315,7 +316,7 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -
         return nothing;
     }
     let frame = Frame::from_normal(element.normal);
-    // What is believed is by the links and by every other ray, whichever finds more: the rest says whether that was right.
+    // The fit uses the links and every other ray, whichever finds more. The remaining rays test the result.
     const SCALE: f32 = 2.0;
     let mut parts = links.to_vec();
     parts.extend(rays.iter().step_by(2).filter(|ray| ray.irradiance > 0.0).map(|ray| {
@@ -324,7 +325,7 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -
         Part { origin: ray.origin, target: ray.target, spread, amount: ray.irradiance * SCALE }
     }));
     let Some(lobes) = fit(&parts, element.center, &frame, portals) else { return nothing };
-    // Second moments of a sample of the direction by the cosine, and by the mixtures, over the squared mean.
+    // Second moments of a sample of the direction, over the squared mean, for the cosine distribution and the mixtures.
     let mut moments = [[0.0f32; 2]; 1 + SHARES.len()];
     let block = Block::new(&lobes);
     let Some(directions) = Directions::new(&block, 1.0, element.center) else { return nothing };
@@ -336,9 +337,9 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -
         }
     }
     for (index, amount) in cells.into_iter().enumerate().filter(|(_, amount)| *amount > 0.0) {
-        // A cell has 1 / CELLS of the cosine; its density, by points in it.
+        // A cell has 1 / CELLS of the cosine distribution. The lobes' density is evaluated at points in the cell.
         let points = [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]].map(|place| direction(index, place));
-        // Of all directions by the cosine one in CELLS is there: by that the lobes' density over the cosine's is averaged.
+        // Averages the ratio of the lobes' density to that of the cosine distribution.
         let over = |local: &Vec3A| directions.pdf(frame.to_world(*local)) * PI / local.z.max(0.05);
         let lobes = points.iter().map(over).sum::<f32>() * 0.25 / CELLS as f32;
         let square = amount * amount;
@@ -351,7 +352,7 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -
     let odd: f32 = rays.iter().skip(1).step_by(2).map(|ray| ray.irradiance).sum();
     if odd > 0.0 {
         for ray in rays.iter().skip(1).step_by(2) {
-            // The mean of the square, as if the direction had been drawn by the mixture.
+            // Mean of the square, as if the direction had been sampled from the mixture.
             let dir = (ray.target - ray.origin).normalize_or(element.normal);
             let cosine = element.normal.dot(dir).max(1e-3) / PI;
             let square = ray.irradiance * ray.irradiance / (odd * odd) * (0.5 * ray.number);
@@ -364,7 +365,7 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -
     }
     let weights = [by_links, odd * SCALE];
     let of = |moment: [f32; 2]| {
-        // Each by what it is without a guide: rays that are few make of noise what looks like light from one place.
+        // Each relative to its value without a guide, because a few noisy rays look like light from one place.
         let ratio = |which: usize| moment[which] / moments[0][which].max(f32::MIN_POSITIVE) * weights[which];
         (ratio(0) + ratio(1)) / (weights[0] + weights[1]).max(f32::MIN_POSITIVE)
     };

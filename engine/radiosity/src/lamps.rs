@@ -1,4 +1,4 @@
-//! What elements receive straight from light sources. A source is asked at each point anew; it is never an element itself.
+//! Direct light that elements receive from light sources. A source is evaluated at each point; it is never an element itself.
 
 use crate::element::{Element, Kind};
 use crate::fog_factor::{FACE, along};
@@ -15,17 +15,17 @@ use std::f32::consts::PI;
 /// Light of one source that an element receives.
 #[derive(Clone, Copy, Debug)]
 pub struct LampLink {
-    /// Who receives.
+    /// Index of the receiver.
     pub receiver: u32,
-    /// The source's index.
+    /// Index of the source.
     pub lamp: u32,
-    /// Irradiance at each node; of a wide element on what faces the source.
+    /// Irradiance at each node; for a wide element, on a surface that faces the source.
     pub light: [Rgb; 4],
-    /// Unit, toward the source; of a wide element.
+    /// Unit direction toward the source, for a wide element.
     pub dir: Vec3A,
 }
 
-/// What to do with one.
+/// Decision on the light of a source at an element.
 #[derive(Clone, Copy, Debug)]
 pub enum LampVerdict {
     Drop,
@@ -33,15 +33,15 @@ pub enum LampVerdict {
     Receiver,
 }
 
-/// Rays that tell whether anything of a source arrives.
+/// Number of rays that test whether any light of a source arrives.
 const LOOK: u32 = 16;
-/// Points on a source that is large as seen from the element, by axis.
+/// Number of points by axis on a source that is large as seen from the element.
 const STRATA: u32 = 2;
-/// A source is large where its radius is more than this share of the distance.
+/// Minimum radius of a large source, as a share of the distance.
 const LARGE: f32 = 0.1;
-/// A source is near where an element's radius is more than this share of the distance.
+/// Minimum radius of an element near a source, as a share of the distance.
 const NEAR: f32 = 0.3;
-/// Greatest share of a source's light that is not looked at closer, times the error.
+/// Maximum share of a source's light that needs no closer test, times the error.
 const TAKEN: f32 = 0.3;
 
 impl Judge<'_> {
@@ -49,7 +49,7 @@ impl Judge<'_> {
     pub fn judge_lamp(&self, receiver: u32, lamp: u32, eye: &mut Eye) -> LampVerdict {
         let p = &self.arena.elements[receiver as usize];
         if p.radius.is_infinite() {
-            // Surfaces and fog together: nothing can be said of both.
+            // Surfaces and fog together cannot be judged as one.
             return LampVerdict::Receiver;
         }
         let Lamp { center, radius, intensity, .. } = self.scene.lamps[lamp as usize];
@@ -62,7 +62,7 @@ impl Judge<'_> {
         let way = center - p.center;
         let distance = way.length();
         let wide = p.is_wide();
-        // A few points do not show what a large element has of a source that is near, or shines to one side.
+        // A few points do not represent a large element's light from a near or one-sided source.
         let close = (p.radius / distance.max(1e-20)).min(1.0);
         let reach = distance.max(0.5 * p.radius);
         let share = if p.kind == Kind::Fog { 0.25 } else { 1.0 };
@@ -71,7 +71,7 @@ impl Judge<'_> {
         if p.kind != Kind::Patch && close > NEAR && hidden_part > allowed && self.may_cut(p) {
             return LampVerdict::Receiver;
         }
-        // Of what the fog takes of the source's light a box around it has this share; four points do not know how much.
+        // A box around the source absorbs this share of the source's light in the fog; four points cannot measure that.
         if p.kind == Kind::Fog && close > NEAR && !self.full {
             let taken = 4.0 * hidden_part * p.size * self.extinction(p) / (PI * intensity);
             if taken > TAKEN * self.error {
@@ -81,7 +81,7 @@ impl Judge<'_> {
         let large = radius > LARGE * (distance - p.radius).max(0.0);
         let mut link = LampLink { receiver, lamp, light: [Rgb::ZERO; 4], dir: way.normalize_or(Vec3A::Z) };
         let mut numbers = Numbers::new(&[p.key, u64::from(lamp), 7]);
-        // Before anything is in between: by points of the source, or exactly, when the points tell what is hidden.
+        // Light without occlusion: by points of the source, or exactly, if the points only measure the occlusion.
         let exact = large && !self.scene.lamps[lamp as usize].polygons.is_empty() && !wide;
         let mut open = [Rgb::ZERO; 4];
         let mut weight = [0.0f32; 4];
@@ -113,7 +113,7 @@ impl Judge<'_> {
         let near = (p.radius / distance.max(1e-20)).min(1.0);
         let error = match p.kind {
             Kind::Cluster | Kind::Ball => mean * (0.1 + 4.0 * near * near),
-            // Twice what four points do not show: a linear function has the mean of its nodes in the middle.
+            // A linear function has the mean of its nodes at the center, so the difference there is what the points miss.
             _ => {
                 let spot = SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error };
                 let middle = match (exact, large) {
@@ -152,11 +152,11 @@ impl Judge<'_> {
             if weight[node] > 0.0 {
                 shares[node] = luminance(got) / weight[node];
             }
-            // The points' own sum where there is no better one.
+            // The points' own sum, if there is no exact value.
             link.light[node] = if exact { open[node] * shares[node] } else { got };
         }
         if p.kind == Kind::Fog && close > NEAR && !large {
-            // What the nodes do not show of the box's light is spread over it.
+            // Light of the box that the nodes miss is spread over it.
             let seen = shares.iter().sum::<f32>() * 0.25;
             let through: f32 =
                 p.nodes.iter().map(|node| eye.fog(self.scene, node.position, center)).sum::<f32>() * 0.25;
@@ -176,8 +176,9 @@ impl Judge<'_> {
         LampVerdict::Keep { link, refused: refused || error > allowed }
     }
 
-    /// Mean over a box of fog of what arrives from a source, taken as a point, through the fog, as a quarter of what comes from all
-    /// around: by all directions through the box's faces, up to the far ones less up to the near ones.
+    /// Returns the mean light over a box of fog from a source, treated as a point, through the fog, as a quarter of the light from
+    /// all directions. It integrates over the directions through the box's faces: lengths up to the far faces minus those up to the
+    /// near ones.
     fn mean_of_fog(&self, p: &Element, lamp: u32, source: Vec3A) -> Rgb {
         let extinction = self.extinction(p);
         let mut sum = Rgb::ZERO;
@@ -196,7 +197,7 @@ impl Judge<'_> {
                     else {
                         continue;
                     };
-                    // Light that goes out through the face counts, what comes in counts against.
+                    // Light that leaves through the face counts positive, entering light negative.
                     sum += light * (area * side * way[axis] / way.length() * along(extinction, way.length()));
                 }
             }
@@ -204,8 +205,8 @@ impl Judge<'_> {
         (sum / p.size).max(Rgb::ZERO)
     }
 
-    /// Irradiance of a patch by a source, taken as a point, that the nodes do not show, lx: a source that is next to a large patch is
-    /// far from all of them. What arrives on the whole is known by the solid angle of the patch.
+    /// Returns the irradiance of a patch from a source, treated as a point, that the nodes miss, lx. A source close to a large
+    /// patch is far from all nodes. The total is known from the solid angle of the patch.
     fn missed(&self, p: &Element, lamp: u32) -> f32 {
         if p.kind != Kind::Patch {
             return 0.0;
@@ -229,7 +230,7 @@ impl Judge<'_> {
         intensity * (whole / p.size - mean).abs()
     }
 
-    /// Whether no ray between points of an element and of a source meets the other.
+    /// Checks whether all rays between points of an element and of a source are occluded.
     fn is_dark(&self, p: &Element, lamp: u32, eye: &mut Eye) -> bool {
         let mut numbers = Numbers::new(&[p.key, u64::from(lamp), 8]);
         !(0..LOOK).any(|part| {
@@ -240,7 +241,7 @@ impl Judge<'_> {
         })
     }
 
-    /// Light that arrives at a spot from a polygon that is as bright everywhere, if nothing is between.
+    /// Returns the unoccluded light at a spot from a polygon of constant radiance.
     fn exactly(&self, p: &Element, spot: &SurfaceSpot, lamp: u32) -> Rgb {
         let of = |(corners, luminance): &(Vec<Vec3A>, Rgb)| match p.kind {
             Kind::Fog => *luminance * (0.25 * solid_angle(spot.position, corners)),
@@ -249,7 +250,7 @@ impl Judge<'_> {
         self.scene.lamps[lamp as usize].polygons.iter().map(of).sum()
     }
 
-    /// Light that arrives at a spot from a point of a source, if nothing is between, and that point.
+    /// Returns the unoccluded light at a spot from a point of a source, and that point.
     fn arriving(&self, p: &Element, spot: &SurfaceSpot, lamp: u32, u: [f32; 2]) -> Option<(Rgb, SurfaceSpot)> {
         let prepared = self.scene.prepared;
         let sample = prepared.lights.sample_light(&prepared.world, &prepared.textures, lamp, spot.position, TIME, u)?;

@@ -1,15 +1,16 @@
-//! The finite-element first pass: hierarchical radiosity with clusters and fog.
+//! Finite-element first pass: hierarchical radiosity with clusters and fog.
 //!
-//! [`solve`] cuts surfaces (and the fog between them) into elements as finely as the light needs it, links elements that exchange
-//! light, at the level where one link is exact enough, and iterates until the light no longer changes. The result is a
-//! [`Field`](femc_field::Field): irradiance of surfaces and mean radiance in fog, apart from what comes straight from light sources,
-//! which the solver takes from the sources themselves, not from elements.
+//! [`solve`] splits surfaces (and the fog between them) into elements as finely as the light requires. It links elements that
+//! exchange light, at the level where one link is exact enough, and iterates until the light no longer changes. The result is a
+//! [`Field`](femc_field::Field): irradiance of surfaces and mean radiance in fog, without direct light from light sources, which
+//! the solver takes from the sources themselves, not from elements.
 //!
-//! Units: radiosity and irradiance in lx by channel of linear Rec.709 (lm/m2; a Lambertian surface of radiosity B has luminance
-//! B / pi cd/m2), lengths in m, prepared frame. Sources: \[hanrahan1991\] (links between levels), \[smits1994\] (clusters),
+//! Units: radiosity and irradiance in lx by channel of linear Rec.709 (lm/m2; a Lambertian surface of radiosity B has luminance B /
+//! pi cd/m2), lengths in m, prepared frame. Sources: \[hanrahan1991\] (links between levels), \[smits1994\] (clusters),
 //! \[sillion1995\] (fog), \[bekaert1996\] (the error of a link from the values at its receiver's points).
 //!
-//! Light that mirrors and clear solids pass on is found by rays alone; glossy reflection counts as diffuse; phase functions count as isotropic.
+//! Only rays find the light that mirrors and clear solids pass on. Glossy reflection counts as diffuse. Phase functions count as
+//! isotropic.
 #![deny(missing_docs)]
 
 mod arena;

@@ -1,4 +1,4 @@
-//! Links: what one element receives of another's light, and whether that is exact enough.
+//! Links: the light that one element receives from another, and the decision whether a link is exact enough.
 
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
@@ -14,86 +14,87 @@ use std::f32::consts::PI;
 /// Light from one element to another.
 #[derive(Clone, Copy, Debug)]
 pub struct Link {
-    /// Who receives.
+    /// Index of the receiver.
     pub receiver: u32,
-    /// Who sends.
+    /// Index of the source.
     pub source: u32,
-    /// At each of the receiver's nodes the share of the source's radiosity that arrives as irradiance. Of a wide source, and at a wide
-    /// receiver, the factor of the intensity, or on what faces the source: 1/m2.
+    /// Share of the source's radiosity that arrives as irradiance at each of the receiver's nodes. For a wide source it is the
+    /// factor of the intensity, and for a wide receiver that on a surface that faces the source: 1/m2.
     pub factors: [f32; 4],
 }
 
-/// What to do with a link.
+/// Decision on a link.
 #[derive(Clone, Copy, Debug)]
 pub enum Verdict {
-    /// No light can go this way.
+    /// No link: no light can travel this way.
     Drop,
-    /// It is exact enough, or cannot be cut further (`refused`).
+    /// A final link: it is exact enough, or its elements cannot be split further (`refused`).
     Keep { link: Link, refused: bool },
-    /// Links with the receiver's parts.
+    /// Links to the receiver's parts instead.
     Receiver,
-    /// Links with the source's parts.
+    /// Links from the source's parts instead.
     Source,
-    /// An element with itself: links among its parts.
+    /// Links among the element's parts, instead of a link of the element with itself.
     Both,
 }
 
-/// What decides on links.
+/// Refinement oracle, which decides on links.
 pub struct Judge<'a> {
     pub scene: &'a Scene<'a>,
     pub arena: &'a Arena,
     pub light: &'a [Light],
-    /// Greatest error of a link, as a share of the receiver's irradiance.
+    /// Maximum error of a link, as a share of the receiver's irradiance.
     pub error: f32,
     /// Irradiance that is added to the receiver's, lx.
     pub floor: f32,
-    /// The same in fog.
+    /// Irradiance that is added to that of fog, lx.
     pub fog_floor: f32,
-    /// Area of an element whose error may be as it is asked for, m2; that of others by the root of their size.
+    /// Area of an element that may have the requested error, m2. The error of another element is scaled with the inverse root of
+    /// its area.
     pub unit_area: f32,
-    /// Volume of fog likewise, m3.
+    /// Volume of fog that may have the requested error, m3.
     pub unit_volume: f32,
-    /// Area that is not cut any more, m2.
+    /// Area up to which an element is not split any more, m2.
     pub least_area: f32,
-    /// Volume of fog likewise, m3.
+    /// Volume up to which fog is not split any more, m3.
     pub least_volume: f32,
-    /// No more elements are to be made.
+    /// Whether no more elements may be created.
     pub full: bool,
-    /// No link is to be cut into more, of elements that are there.
+    /// Whether no link may be split, even with existing elements.
     pub brimful: bool,
 }
 
-/// Something is beside a box of fog where their radii are more than this share of their distance.
+/// Minimum sum of the radii of a box of fog and its neighbor, as a share of their distance.
 const BESIDE: f32 = 0.5;
 
-/// Bounds of how much more error than others a small element may have, and a large one.
+/// Bounds of the error scale, for large and for small elements.
 const WEIGHTS: [f32; 2] = [0.5, 4.0];
 
-/// A source's share of the receiver's view, by radius over distance, below which no more of its like are thought of.
+/// Minimum share of a source in the receiver's view, by radius over distance, in the estimate of the number of similar sources.
 const MANY: f32 = 0.03;
 
-/// Weight of what the nodes do not show there. A small one lets large boxes be linked next to each other, whose light goes from edge to edge
-/// where no node is, and is lost.
+/// Weight of the light at a box's edge that the nodes miss. With a small weight, large adjacent boxes would be linked. Their light
+/// travels from edge to edge, where no node is, and is lost.
 const EDGE: f32 = 2.0;
-/// The same where a surface is the source, which is next to more of the box.
+/// Weight for a surface as the source, which is adjacent to a larger part of the box.
 const EDGE_OF_SURFACE: f32 = 4.0;
 
-/// Optical thickness of half of a box of fog whose light to itself is not taken as one.
+/// Optical thickness of half of a box of fog above which its light to itself is not treated as one value.
 const THICK: f32 = 0.5;
 
-/// Optical thickness of a surface's radius, times that over the distance, up to which its own points tell what the fog leaves.
+/// Optical thickness of a surface's radius, times radius over distance, up to which its nodes suffice for the attenuation by fog.
 const THIN: f32 = 0.1;
 
-/// Rays of a first look, and of a second one where the first found the source partly hidden.
+/// Number of visibility rays of a first test, and of a second one if the first found the source partly occluded.
 const LOOK: [u32; 2] = [4, 12];
-/// What no ray has met is taken as dark where it would bring no more than so many times the least irradiance that an error is a share
-/// of: what lies in the dark is not cut to pieces to prove that.
+/// Limit for the light of a source that no ray has reached, in multiples of the minimum irradiance that an error is relative to.
+/// Below, the source counts as dark. Otherwise dark areas would be split finely only to prove their darkness.
 const DOUBT: f32 = 10.0;
-/// Share of the error that is allowed which a link has as a whole, if one ray is enough for it.
+/// Maximum light of a link, as a share of the allowed error, for which one ray is enough.
 const LITTLE: f32 = 0.2;
 
 impl Judge<'_> {
-    /// Whether an element has parts, or may have.
+    /// Checks whether an element has parts, or may be split.
     pub fn may_cut(&self, element: &Element) -> bool {
         match element.kind {
             _ if self.brimful => false,
@@ -105,9 +106,10 @@ impl Judge<'_> {
         }
     }
 
-    /// Error that a link of a receiver may have, lx. Boxes of fog that hold a light source are bright in their middle alone.
+    /// Returns the error that a link of a receiver may have, lx. Boxes of fog that contain a light source are bright only at their
+    /// center.
     pub fn allowed(&self, p: &Element, light: &Light) -> f32 {
-        // What is larger is more of the scene.
+        // A larger element is a larger part of the scene.
         let weight = |ratio: f32| ratio.sqrt().clamp(WEIGHTS[0], WEIGHTS[1]);
         match p.kind {
             Kind::Fog => self.error * (light.least + self.fog_floor) * weight(self.unit_volume / p.size),
@@ -115,12 +117,12 @@ impl Judge<'_> {
         }
     }
 
-    /// Error that is allowed where no ray has met the source.
+    /// Returns the allowed error if no ray has reached the source.
     pub fn in_doubt(&self, p: &Element, allowed: f32) -> f32 {
         allowed.max(self.error * DOUBT * if p.kind == Kind::Fog { self.fog_floor } else { self.floor })
     }
 
-    /// Extinction in the middle of an element, 1/m.
+    /// Returns the extinction at the center of an element, 1/m.
     pub fn extinction(&self, element: &Element) -> f32 {
         self.haze_at(element.center)
     }
@@ -148,11 +150,11 @@ impl Judge<'_> {
             return Verdict::Keep { link, refused: false };
         }
         let allowed = self.allowed(p, to);
-        // The point of a wide element stands for all of it from afar only. Near the source parts of the receiver as large as the source
-        // have up to the source's radiosity; an error counts by the root of their share of the receiver.
+        // The center of a wide element represents all of it only from far away. Near the source, parts of the receiver as large as
+        // the source receive up to the source's radiosity. An error counts by the root of their share of the receiver.
         if wide && distance < 1.5 * (p.radius + q.radius) {
             let share = (q.radius / p.radius).min(1.0).sqrt();
-            // Of fog by the length that light comes from.
+            // For fog, the length from which light comes.
             let length = if q.kind == Kind::Fog { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
             if luminance(from.radiosity) * length * share > 0.5 * allowed {
                 let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
@@ -177,8 +179,8 @@ impl Judge<'_> {
         let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
         let (near_p, near_q) = (close(p), close(q));
         let spread = 0.5 * (from.brightest - from.darkest);
-        // What is small and at a box of fog lights it next to itself most of all, where no node may be. What the whole box receives is
-        // known the other way round; what the nodes do not show of it is spread over the box.
+        // A small source at a box of fog mostly lights the fog next to itself, where there may be no node. The light that the whole
+        // box receives is computed in the reverse direction. The part that the nodes miss is spread over the box.
         let is_beside = p.kind == Kind::Fog
             && near_p + near_q > BESIDE
             && match q.kind {
@@ -214,12 +216,12 @@ impl Judge<'_> {
             if q.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_q * near_q)
             } else {
-                // A few points stand for what is no polygon.
+                // A few points represent a shape that is not a polygon.
                 let shape = if q.kind == Kind::Patch && q.corner_count == 0 { 0.5 * near_q * near_q } else { 0.0 };
                 mean * (spread * (2.0 * near_q).min(1.0) + shape * radiosity)
             },
         ];
-        // A source that is small from here is one of many, next to each other, whose errors at the receiver are alike and add up.
+        // A source that is small from here is one of many adjacent ones, whose errors at the receiver are alike and add up.
         if p.kind == Kind::Fog {
             errors[0] /= near_q.max(MANY);
         } else {
@@ -228,7 +230,7 @@ impl Judge<'_> {
             errors = errors.map(|error| error * many);
         }
         if self.scene.fog.is_some() {
-            // What the fog leaves of the light differs over the source; a box of fog has no one distance, either.
+            // The attenuation by fog varies over the source. A box of fog also has no single distance.
             let thickness = (self.extinction(q) * q.radius).min(1.0);
             let shape = if q.kind == Kind::Fog { near_q * near_q } else { 0.0 };
             errors[1] += mean * radiosity * (shape + 0.3 * near_q * thickness);
@@ -236,7 +238,7 @@ impl Judge<'_> {
         let amount = mean * reach;
         let in_doubt = self.in_doubt(p, allowed);
         if errors[0] + errors[1] > allowed {
-            // In the dark it is worth finding out first whether anything arrives.
+            // In the dark, it is worth testing first whether any light arrives.
             let looks = allowed < in_doubt && amount * unproved(LOOK[0] + LOOK[1]) <= in_doubt;
             let is_dark = looks && self.look(p, q, eye, false, true).0[..p.count].iter().all(|&seen| seen == 0.0);
             if is_dark {
@@ -249,7 +251,7 @@ impl Judge<'_> {
         if amount <= 0.0 {
             return Verdict::Keep { link, refused: false };
         }
-        // What is hidden.
+        // Occlusion.
         let (seen, refused) = self.look(p, q, eye, amount <= LITTLE * allowed, amount * unproved(LOOK[0]) > in_doubt);
         let least = seen[..p.count].iter().copied().fold(1.0f32, f32::min);
         let most = seen[..p.count].iter().copied().fold(0.0f32, f32::max);
@@ -263,7 +265,7 @@ impl Judge<'_> {
         Verdict::Keep { link, refused: errors[0] + errors[1] > allowed }
     }
 
-    /// Cuts where the error comes from, else the other one; `None` if neither can be cut.
+    /// Splits the element that causes the error, or else the other one. `None` if neither can be split.
     fn cut(&self, p: &Element, q: &Element, errors: [f32; 2]) -> Option<Verdict> {
         let order = if errors[0] >= errors[1] {
             [(p, Verdict::Receiver), (q, Verdict::Source)]
@@ -286,7 +288,7 @@ impl Judge<'_> {
                 }
             }
             Kind::Patch => {
-                // A sphere's inner side has one kernel everywhere; of others this is its mean over the other nodes.
+                // The inner side of a sphere has a constant kernel. For other surfaces, this is the mean over the other nodes.
                 let mut factors = [0.0; 4];
                 for (k, factor) in factors.iter_mut().enumerate().take(p.count) {
                     let others = (0..p.count).filter(|&j| j != k);
@@ -311,7 +313,7 @@ impl Judge<'_> {
         }
     }
 
-    /// What a point receives of an element through the fog, as if nothing else were between, as [`Link::factors`] has it.
+    /// Returns the factor of an element at a point through the fog, without occlusion, as in [`Link::factors`].
     pub fn factor(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
         if q.kind == Kind::Fog {
             return self.factor_of_fog(p, q, node, eye);
@@ -319,14 +321,14 @@ impl Judge<'_> {
         let way = q.center - node.position;
         let mut distance2 = way.length_squared();
         if p.is_wide() || q.is_wide() {
-            // Parts of the two are no nearer on average than this.
+            // Minimum mean distance of the parts of both elements.
             let reach = p.radius + q.radius;
             distance2 = distance2.max(0.25 * reach * reach);
         }
         let distance = distance2.sqrt();
         let near = is_near(distance2, q.radius) && !p.is_wide();
         let polygon_corners = &q.corners[..q.corner_count];
-        // Of a part of the source, by its area and its direction from the point.
+        // Sums over parts of the source, by area and direction from the point.
         let parts = |of: &dyn Fn(&SurfaceSpot, f32) -> f32| -> f32 {
             if near {
                 q.nodes[..q.count].iter().map(|part| of(part, q.size / q.count as f32)).sum()
@@ -354,7 +356,8 @@ impl Judge<'_> {
         if q.kind != Kind::Patch || !near {
             return open * eye.fog(self.scene, node.position, q.center);
         }
-        // What is near lets more through: by the kernel at points of the source, at more of them where that matters.
+        // Near parts are attenuated less: the mean is weighted by the kernel at points of the source, at more points where that
+        // matters.
         let (mut weight, mut through) = (0.0, 0.0);
         let mut add = |part: &SurfaceSpot| {
             let kernel = if p.kind == Kind::Patch { exchange(node, part, 1.0) } else { facing(node, part, 1.0) };
@@ -379,14 +382,14 @@ impl Judge<'_> {
         if weight > 0.0 { open * through / weight } else { open * eye.fog(self.scene, node.position, q.center) }
     }
 
-    /// Share of the source's light that reaches each node, and how uncertain the shares are.
+    /// Returns the share of the source's light that reaches each node, and the uncertainty of the shares.
     /// - `little`: one ray is enough;
-    /// - `doubt`: where the first rays meet nothing of the source more are cast.
+    /// - `doubt`: cast more rays if the first rays do not reach the source.
     fn look(&self, p: &Element, q: &Element, eye: &mut Eye, little: bool, doubt: bool) -> ([f32; 4], f32) {
         let mut numbers = Numbers::new(&[p.key, q.key]);
         let (mut got, mut cast) = ([0.0f32; 4], [0u32; 4]);
         let (mut hits, mut misses) = (0u32, 0u32);
-        // One ray alone goes from any node to any quarter.
+        // A single ray goes from a random node to a random quarter.
         let first = (numbers.next() * 12.0) as u32;
         for (round, rays) in LOOK.into_iter().enumerate() {
             if round == 1 && (misses == 0 || little || hits == 0 && !doubt) {
@@ -422,13 +425,13 @@ impl Judge<'_> {
         let mean = got.iter().sum::<f32>() / total as f32;
         let seen = [0, 1, 2, 3].map(|k| if cast[k] > 0 { got[k] / cast[k] as f32 } else { mean });
         let share = hits as f32 / total as f32;
-        // A source that no ray has met may be there.
+        // A source that no ray has reached may still be visible.
         let unsure = if hits == 0 { unproved(total) } else { (share * (1.0 - share)).sqrt() };
         (seen, unsure)
     }
 }
 
-/// Share of a source that may be seen though so many rays have missed it.
+/// Returns the share of a source that may be visible although this number of rays missed it.
 pub fn unproved(rays: u32) -> f32 {
     0.5 / (rays + 2) as f32
 }
@@ -437,7 +440,7 @@ fn faces(spot: &SurfaceSpot, way: Vec3A) -> bool {
     spot.normal == Vec3A::ZERO || spot.normal.dot(way) > 0.0
 }
 
-/// Form factor of a small surface of area `area` at a spot, from another spot.
+/// Returns the form factor of a small surface of area `area` at a spot, from another spot.
 pub fn exchange(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
     let way = from.position - at.position;
     let distance2 = way.length_squared();
@@ -447,7 +450,7 @@ pub fn exchange(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
     area * at.normal.dot(way).max(0.0) * (-from.normal.dot(way)).max(0.0) / (PI * distance2 * distance2)
 }
 
-/// The same without the cosine of the receiver.
+/// Returns the form factor without the cosine of the receiver.
 pub fn facing(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
     let way = from.position - at.position;
     let distance2 = way.length_squared();
@@ -457,7 +460,7 @@ pub fn facing(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
     area * (-from.normal.dot(way)).max(0.0) / (PI * distance2 * distance2.sqrt())
 }
 
-/// Whether all of `b` is behind all of the flat surfaces `a`.
+/// Checks whether all of `b` is behind the flat element `a`.
 fn unseen(scene: &Scene<'_>, a: &Element, b: &Element) -> bool {
     let flat = match a.kind {
         Kind::Patch => scene.surfaces[a.surface as usize].is_flat(),

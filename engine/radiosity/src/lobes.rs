@@ -1,8 +1,9 @@
-//! Lobes that are fitted to ways along which light comes.
+//! Fit of lobes to the ways along which light arrives.
 //!
-//! The ways are cut in two, and the parts again, each time where that raises the likelihood of the ways most, if each part's light were
-//! spread evenly over the directions that it fills: narrow bright bundles part from wide dim ones. Each part becomes a lobe through where
-//! its ways fill the least solid angle. Then each way is given to the lobe that would draw it most often, and the lobes are made anew.
+//! The ways are split in two, and the parts again, each time where the split raises the likelihood of the ways most. The likelihood
+//! assumes that each part's light is spread evenly over the directions that it fills, so narrow bright bundles separate from wide
+//! dim ones. Each part becomes a lobe, centered where its ways fill the least solid angle. Then each way is assigned to the lobe
+//! that samples it with the greatest density, and the lobes are fitted again.
 
 use crate::fewer::fewer;
 use crate::portals::Portal;
@@ -11,51 +12,54 @@ use femc_math::Frame;
 use femc_math::elementary::{atan2, ln, sin_cos};
 use femc_math::glam::Vec3A;
 
-/// Nearest place of a lobe, over the distance of what it is of, and places that are tried from there on.
+/// Distance of the nearest candidate for a lobe's center, relative to that of its ways' ends, and number of steps from there to
+/// these.
 const NEAREST: f32 = 0.15;
 const DEPTHS: u32 = 17;
-/// Times that ways are given to lobes anew.
+/// Number of times that ways are assigned to lobes again.
 const SETTLING: usize = 3;
-/// Ways that lobes are fitted to at most; of more, these stand for all.
+/// Maximum number of ways for a fit. If there are more, a selection represents all.
 const MOST: usize = 256;
-/// Parts of a bundle's length along an axis, between which it may be cut.
+/// Number of bins of a bundle's length along an axis, between which it may be split.
 const BINS: usize = 16;
-/// Gain of a cut, over all light, that is worth another lobe.
+/// Minimum gain of a split, relative to all light, that justifies another lobe.
 const GAIN: f32 = 0.005;
-/// Places that what is known before is worth.
+/// Weight of prior knowledge, in numbers of ways.
 const PRIOR: f32 = 1.0;
-/// Ways through a portal, as many of equal light as would tell as much, that are a lobe without it.
+/// Minimum effective number of ways through a portal that form a lobe without it. The effective number is that of equally bright
+/// ways.
 const MANY: f32 = 10.0;
 
 /// Light along a way.
 #[derive(Clone, Copy, Debug)]
 pub struct Part {
-    /// The way, m.
+    /// Ends of the way, m.
     pub origin: Vec3A,
     pub target: Vec3A,
-    /// Mean square distance from the target across the view, m2.
+    /// Mean squared distance from the target across the view, m2.
     pub spread: f32,
     /// Irradiance.
     pub amount: f32,
 }
 
-/// Sums over the ways of a lobe, in a plane across its axis: places there, and slopes.
+/// Sums over the ways of a lobe, in a plane across its axis: positions there, and slopes.
 #[derive(Clone, Copy, Debug, Default)]
 struct Focus {
     amount: f32,
     squared: f32,
     place: [f32; 2],
     slope: [f32; 2],
-    /// Of amount times the products of places, of places and slopes, and of slopes: of the first axes, both, the second ones.
+    /// Sums of amount times the products of positions, of positions and slopes, and of slopes: for the first axis, both axes, the
+    /// second axis.
     places: [f32; 3],
     both: [f32; 3],
     slopes: [f32; 3],
-    /// Of amount times the way's own width at the target, and times its distance.
+    /// Sums of amount times the way's own width at the target, and times its length.
     width: f32,
     distance: f32,
 }
 
-/// Products of the components of two, made symmetric.
+/// Returns the products of the components of two vectors, symmetrized.
 fn products(a: [f32; 2], b: [f32; 2]) -> [f32; 3] {
     [a[0] * b[0], 0.5 * (a[0] * b[1] + a[1] * b[0]), a[1] * b[1]]
 }
@@ -82,7 +86,8 @@ impl Focus {
         self.distance += amount * distance;
     }
 
-    /// The lobe through where the ways fill the least solid angle as seen from the leaf: at a gap that all go through, or at a source.
+    /// Returns the lobe centered where the ways fill the least solid angle as seen from the leaf: at a gap that all go through, or
+    /// at a source.
     fn lobe(&self, center: Vec3A, frame: &Frame) -> Option<Lobe> {
         if self.amount <= 0.0 {
             return None;
@@ -94,9 +99,9 @@ impl Focus {
         let both = less(self.both, products(place, slope));
         let slopes = less(self.slopes, products(slope, slope));
         let (distance, width) = (self.distance * share, self.width * share);
-        // Few ways tell little of how wide they are.
+        // Few ways do not determine their width well.
         let wider = 1.0 + 2.0 * PRIOR * self.squared / (self.amount * self.amount);
-        // Covariance in the plane at a depth, of the ways' middles and of their own widths.
+        // Covariance in the plane at a depth, from the ways' centers and their own widths.
         let at = |depth: f32| {
             let mut of = [0, 1, 2].map(|k| places[k] + 2.0 * depth * both[k] + depth * depth * slopes[k]);
             let own = 0.5 * depth * depth * width.max(1e-6);
@@ -112,7 +117,7 @@ impl Focus {
             .map(|depth| (depth, solid_angle(depth)))
             .fold((distance, f32::INFINITY), |best, it| if it.1 < best.1 { it } else { best });
         let [a, b, c] = at(depth);
-        // Main axes.
+        // Principal axes.
         let turn = 0.5 * atan2(2.0 * b, a - c);
         let (sin, cos) = sin_cos(turn);
         let along = a * cos * cos + 2.0 * b * sin * cos + c * sin * sin;
@@ -124,9 +129,10 @@ impl Focus {
     }
 }
 
-/// Lobes of ways that come to a leaf; `None` of nothing.
-/// - `center`: the leaf's; `frame`: with its normal;
-/// - `portals`: what goes through one has a lobe there, however few the ways are.
+/// Fits lobes to ways that reach a leaf. `None` if there is no light.
+/// - `center`: center of the leaf;
+/// - `frame`: frame with its normal;
+/// - `portals`: ways through a portal get a lobe there, even if they are few.
 pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> Option<Vec<Lobe>> {
     let mut through = vec![[0.0f32; 2]; portals.len()];
     let mut rest = Vec::with_capacity(parts.len());
@@ -139,7 +145,7 @@ pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> 
             None => rest.push((None, *part)),
         }
     }
-    // Where enough ways tell, they tell better than the portal, which all leaves have.
+    // Enough ways describe the leaf better than the portal, which all leaves share.
     let lobe = |(portal, [amount, squares]): (&Portal, &[f32; 2])| {
         let is_known = amount * amount > MANY * squares;
         (!is_known && *amount > 0.0).then(|| portal.lobe(center, frame.normal, *amount)).flatten()
@@ -174,13 +180,14 @@ pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> 
     shares(lobes)
 }
 
-/// A way among directions, by their places on the disc of the unit hemisphere seen along the normal: there the cosine's density is even.
+/// A way in the space of directions, by positions on the disk of the unit hemisphere seen along the normal. The density of the
+/// cosine distribution is constant there.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     part: Part,
-    /// Of its direction, and of that from the leaf's middle to its target.
+    /// Positions of its direction, and of the direction from the leaf's center to its target.
     at: [[f32; 2]; 2],
-    /// Variance on the disc that the way has as it is wide itself.
+    /// Variance on the disk caused by the width of the way itself.
     own: f32,
 }
 
@@ -195,7 +202,7 @@ impl Place {
         Some(Self { part: *part, at: dirs.map(|dir| [dir.x, dir.y]), own })
     }
 
-    /// Along one of [`AXES`].
+    /// Returns the coordinate along one of [`AXES`].
     fn along(&self, axis: usize) -> f32 {
         let [x, y] = self.at[axis / 4];
         match axis % 4 {
@@ -207,14 +214,14 @@ impl Place {
     }
 }
 
-/// Axes along which bundles are cut: four on either disc.
+/// Number of axes along which bundles are split: four on each disk.
 const AXES: usize = 8;
 
-/// Sums over places on both discs.
+/// Sums over positions on both disks.
 #[derive(Clone, Copy, Debug, Default)]
 struct Extent {
     amount: f32,
-    /// Sum of the amounts' squares.
+    /// Sum of the squared amounts.
     squared: f32,
     own: f32,
     middle: [[f32; 2]; 2],
@@ -244,8 +251,8 @@ impl Extent {
         }
     }
 
-    /// Part of the disc that the places fill. Few places tell little of that: it is believed to be that of the bundle that they are cut
-    /// from, as much as if [`PRIOR`] places had said so.
+    /// Returns the part of the disk that the positions fill. Few positions do not determine it well, so the area of the bundle
+    /// before the split counts as prior knowledge, with the weight of [`PRIOR`] positions.
     fn area(&self, before: f32) -> f32 {
         let share = 1.0 / self.amount;
         let area = |disc: usize| {
@@ -259,30 +266,31 @@ impl Extent {
         (number * area(0).min(area(1)) + PRIOR * before) / (number + PRIOR)
     }
 
-    /// Logarithm of the likelihood: of the amount over the part of the disc.
+    /// Returns the logarithm of the likelihood: of the amount over the part of the disk.
     fn likelihood(&self, before: f32) -> f32 {
         if self.amount <= f32::MIN_POSITIVE { 0.0 } else { self.amount * ln(self.amount / self.area(before)) }
     }
 }
 
-/// Where a bundle is best cut.
+/// Best split of a bundle.
 #[derive(Clone, Copy, Debug)]
 struct Cut {
     axis: usize,
-    /// The place along it.
+    /// Coordinate along the axis.
     at: f32,
     gain: f32,
 }
 
 struct Bundle {
     places: Vec<Place>,
-    /// Part of the disc that they fill.
+    /// Part of the disk that they fill.
     area: f32,
     cut: Option<Cut>,
 }
 
 impl Bundle {
-    /// - `area`: of the bundle that it is cut from.
+    /// Creates a bundle and finds its best split.
+    /// - `area`: area of the bundle from which it was split.
     fn new(places: Vec<Place>, area: f32) -> Self {
         let mut whole = Extent::default();
         places.iter().for_each(|place| whole.add(place));
@@ -328,7 +336,7 @@ impl Bundle {
     }
 }
 
-/// The lobes once each way belongs to that of them which would draw it most often.
+/// Fits the lobes again, after assigning each way to the lobe that samples it with the greatest density.
 fn settled(lobes: &[Lobe], parts: &[Part], center: Vec3A) -> Option<Vec<Lobe>> {
     let block = Block::new(lobes);
     let mut sums = [Focus::default(); LOBES];
@@ -346,7 +354,7 @@ fn settled(lobes: &[Lobe], parts: &[Part], center: Vec3A) -> Option<Vec<Lobe>> {
     (!lobes.is_empty()).then_some(lobes)
 }
 
-/// Lobes whose shares are of 1; `None` of nothing.
+/// Normalizes the shares of lobes. `None` if there is no light.
 fn shares(lobes: Vec<Lobe>) -> Option<Vec<Lobe>> {
     let sum: f32 = lobes.iter().map(|lobe| lobe.share).sum();
     let is_axis = |axis: &Vec3A| axis.is_finite() && axis.length_squared() > 0.0;

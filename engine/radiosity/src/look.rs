@@ -1,4 +1,4 @@
-//! A solution as an eye would see it: what arrives at a point of an element, and what it sends.
+//! Evaluation of a solution for viewing: the light that arrives at a point of an element, and the light that it sends.
 
 use crate::scene::{BETWEEN, TIME, scattered};
 use crate::solve::Solution;
@@ -12,78 +12,79 @@ use std::f32::consts::FRAC_1_PI;
 /// Irradiance, lx by channel of linear Rec.709.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Irradiance {
-    /// From other surfaces and from fog: what the field has.
+    /// Irradiance from other surfaces and from fog, as in the field.
     pub indirect: Rgb,
-    /// Straight from light sources, as the elements have it.
+    /// Irradiance directly from light sources, as in the elements.
     pub direct: Rgb,
 }
 
 impl Irradiance {
-    /// Both together.
+    /// Returns the sum of both.
     pub fn total(self) -> Rgb {
         self.indirect + self.direct
     }
 }
 
-/// The light of a whole solution.
+/// Totals of the light of a solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Summary {
-    /// Area of the surfaces that the solution has light of, each side by itself, m2.
+    /// Area of the surfaces with light in the solution, each side counted separately, m2.
     pub area: f64,
     /// Luminous flux of all light sources, lm.
     pub emitted: f64,
-    /// Luminous flux of all light sources, with their textures at most, lm.
+    /// Luminous flux of all light sources with the maximum of their textures, lm.
     pub emitted_at_most: f64,
-    /// What these surfaces receive, each time that light arrives, lm.
+    /// Luminous flux that these surfaces receive, counted at each arrival, lm.
     pub received: f64,
-    /// What they keep of that, lm.
+    /// Luminous flux that they absorb, lm.
     pub absorbed: f64,
     /// Least mean irradiance of a leaf, by luminance, lx.
     pub least: f32,
-    /// Half of the area is in leaves of less mean irradiance, lx.
+    /// Median irradiance, lx: half of the area is in leaves of less mean irradiance.
     pub median: f32,
     /// Greatest mean irradiance of a leaf, lx.
     pub most: f32,
-    /// Most leaves of a surface.
+    /// Greatest number of leaves of a surface.
     pub most_leaves: usize,
-    /// Surfaces with a leaf.
+    /// Number of surfaces with a leaf.
     pub surfaces: usize,
-    /// Half of the surfaces have fewer leaves, or as many.
+    /// Median number of leaves of a surface: half of the surfaces have at most this number.
     pub median_leaves: usize,
 }
 
-/// A solution beside the frame that it is of.
+/// A solution with its frame.
 pub struct Look<'a> {
     pub(crate) prepared: &'a Prepared,
     pub(crate) solution: &'a Solution,
     /// Reflected and transmitted share by material.
     scattered: Vec<(Rgb, Rgb)>,
-    /// Absorbed share by material: what mirrors and clear panes pass on is not absorbed.
+    /// Absorbed share by material. Light that mirrors and clear panes pass on is not absorbed.
     absorbed: Vec<Rgb>,
 }
 
 impl<'a> Look<'a> {
-    /// - `prepared`: the frame that `solution` was found for.
+    /// Combines a solution with its frame.
+    /// - `prepared`: the frame for which `solution` was computed.
     pub fn new(prepared: &'a Prepared, solution: &'a Solution) -> Self {
         let scattered = prepared.materials.iter().map(|material| scattered(&material.bsdf)).collect();
         let absorbed = |material: &KernelMaterial| (Rgb::ONE - material.bsdf.albedo(BETWEEN)).max(Rgb::ZERO);
         Self { prepared, solution, scattered, absorbed: prepared.materials.iter().map(absorbed).collect() }
     }
 
-    /// What arrives at a point of a leaf.
+    /// Returns the irradiance at a point of a leaf.
     /// - `local`: the point's coordinates in the leaf;
-    /// - `normal`: unit, of the surface's side there.
+    /// - `normal`: unit normal of the surface's side there.
     pub fn irradiance(&self, leaf: u32, local: Vec2, normal: Vec3A) -> Irradiance {
         let at = |leaves: &[Leaf]| finite(leaves[leaf as usize].at(local, normal));
         Irradiance { indirect: at(&self.solution.field.leaves), direct: at(&self.solution.direct) }
     }
 
-    /// Luminance by channel, cd/m2, of a point of a surface, seen along its normal. Gloss counts as diffuse, and textures of `rd` are
-    /// left out, as the solution does it.
-    /// - `arriving`: what arrives there;
+    /// Returns the luminance by channel, cd/m2, of a point of a surface, seen along its normal. Gloss counts as diffuse, and
+    /// textures of `rd` are ignored, as in the solution.
+    /// - `arriving`: irradiance there;
     /// - `place`: the point's parameters on the surface;
-    /// - `inside`: parameters of a point near it in the interior of the same leaf. The other side is looked up there, as a point on an
-    ///   edge belongs to two leaves.
+    /// - `inside`: parameters of a point near it in the interior of the same leaf. The other side is looked up there, because a
+    ///   point on an edge belongs to two leaves.
     pub(crate) fn radiance(&self, surface: u32, arriving: Irradiance, place: Vec2, inside: Vec2) -> Rgb {
         let source = &self.solution.field.surfaces[surface as usize];
         let (reflected, transmitted) = self.scattered[source.material as usize];
@@ -94,7 +95,7 @@ impl<'a> Look<'a> {
         finite(sent * FRAC_1_PI) + self.emitted(source, place, &source.at(place))
     }
 
-    /// What arrives at the other side of a surface.
+    /// Returns the irradiance of the other side of a surface.
     fn behind(&self, surface: &Surface, place: Vec2) -> Rgb {
         let field = &self.solution.field;
         let sides = field.sides[surface.instance as usize][surface.primitives[0] as usize];
@@ -105,7 +106,7 @@ impl<'a> Look<'a> {
         found.map_or(Rgb::ZERO, |(leaf, local)| self.irradiance(leaf, local, normal).total())
     }
 
-    /// Luminance by channel, cd/m2, that a surface sends along its normal by itself.
+    /// Returns the luminance by channel, cd/m2, that a surface itself emits along its normal.
     pub(crate) fn emitted(&self, surface: &Surface, place: Vec2, spot: &SurfaceSpot) -> Rgb {
         let Surface { instance, primitives, side, .. } = *surface;
         let second = matches!(surface.form, Form::Parallelogram(_)) && place.x + place.y > 1.0;
@@ -127,7 +128,7 @@ impl<'a> Look<'a> {
         finite(lights.radiance(world, textures, light, TIME, front, spot.normal, parametric))
     }
 
-    /// The light of all leaves together.
+    /// Returns the totals over all leaves.
     pub fn summary(&self) -> Summary {
         let Prepared { lights, textures, .. } = self.prepared;
         let field = &self.solution.field;
@@ -178,7 +179,7 @@ impl<'a> Look<'a> {
     }
 }
 
-/// What is no number counts as no light.
+/// Replaces values that are not finite with zero.
 fn finite(color: Rgb) -> Rgb {
     if color.is_finite() { color.max(Rgb::ZERO) } else { Rgb::ZERO }
 }

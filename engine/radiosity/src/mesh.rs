@@ -1,8 +1,8 @@
-//! The elements of a solution as triangles with their light, for those who look at it.
+//! Elements of a solution as triangles with their light, for viewing.
 //!
-//! Every leaf has vertices of its own, as the light jumps from leaf to leaf. Curved leaves are cut along a grid over the whole surface,
-//! so that neighbors share its lines; where a leaf is finer than the grid, its neighbor's chord passes the vertex by less than the
-//! grid's own error.
+//! Every leaf has its own vertices, because the light jumps from leaf to leaf. Curved leaves are divided along a grid over the
+//! whole surface, so that neighbors share its lines. If a leaf is finer than the grid, its neighbor's chord misses the vertex by
+//! less than the grid's own error.
 
 use crate::look::Look;
 use crate::scene::TIME;
@@ -16,41 +16,41 @@ use femc_prepared::{Orientation, Prepared};
 use femc_scattering::Sides;
 use std::collections::BTreeMap;
 
-/// What a mesh shows.
+/// Content of a mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
     /// Elements.
     Elements,
-    /// Light sources that reflect nothing, and so are no elements.
+    /// Light sources that reflect nothing and therefore are not elements.
     Lamps,
 }
 
-/// All triangles of a material, one side. Prepared frame, m; by vertex unless it says otherwise.
+/// All triangles of a material, one side. Prepared frame, m. Arrays are by vertex unless stated otherwise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
-    /// What it shows.
+    /// Content of the mesh.
     pub part: Part,
     /// Index of the material.
     pub material: u32,
-    /// The side from which it is seen.
+    /// Side from which the mesh is visible.
     pub side: Side,
     /// Positions.
     pub positions: Vec<[f32; 3]>,
     /// Unit normals of the side.
     pub normals: Vec<[f32; 3]>,
-    /// Luminance by channel, cd/m2, along the normal: reflected, let through and emitted.
+    /// Luminance by channel, cd/m2, along the normal: reflected, transmitted and emitted.
     pub radiance: Vec<[f32; 3]>,
     /// Irradiance, lx by channel.
     pub irradiance: Vec<[f32; 3]>,
-    /// The part of it that comes straight from light sources.
+    /// Part of the irradiance that comes directly from light sources.
     pub direct: Vec<[f32; 3]>,
-    /// Index of the leaf in the field, or [`NONE`] of lamps.
+    /// Index of the leaf in the field, or [`NONE`] for lamps.
     pub leaves: Vec<u32>,
     /// Index of the surface in the field, or [`NONE`].
     pub surfaces: Vec<u32>,
-    /// Vertices of each triangle, counter-clockwise as seen from the side.
+    /// Vertices of each triangle, counterclockwise as seen from the side.
     pub triangles: Vec<[u32; 3]>,
-    /// Ends of the leaves' edges.
+    /// Endpoints of the leaves' edges.
     pub edges: Vec<[u32; 2]>,
 }
 
@@ -82,7 +82,7 @@ impl Mesh {
         self.surfaces.push(surface);
     }
 
-    /// Luminance, cd/m2, and area, m2, of each triangle.
+    /// Returns the luminance, cd/m2, and the area, m2, of each triangle.
     pub fn luminances(&self) -> impl Iterator<Item = (f32, f32)> {
         self.triangles.iter().map(|triangle| {
             let [a, b, c] = triangle.map(|vertex| Vec3A::from(self.positions[vertex as usize]));
@@ -91,12 +91,12 @@ impl Mesh {
         })
     }
 
-    /// Adds a triangle with its front on the side of the vertices' normals, if it has an area.
+    /// Adds a triangle, with its front on the side of the vertices' normals, if it has an area.
     fn triangle(&mut self, corners: [u32; 3]) {
         let [a, b, c] = corners.map(|corner| Vec3A::from(self.positions[corner as usize]));
         let normal: Vec3A = corners.iter().map(|&corner| Vec3A::from(self.normals[corner as usize])).sum();
         let facing = cross(b - a, c - a);
-        // Two of the corners are one at the poles of a grid.
+        // At the poles of a grid, two of the corners coincide.
         let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
         if facing.length_squared() <= (NOTHING * longest) * (NOTHING * longest) {
             return;
@@ -106,14 +106,14 @@ impl Mesh {
     }
 }
 
-/// Height over longest edge of a triangle that is none.
+/// Minimum height of a triangle over its longest edge. Flatter triangles are dropped.
 const NOTHING: f32 = 1e-7;
-/// Steps of a grid around an axis.
+/// Possible numbers of steps of a grid around an axis.
 const STEPS: [u32; 3] = [16, 32, 64];
-/// Distance of a chord of the grid from the surface that nobody sees, as a share of the scene's extent.
+/// Distance of a chord of the grid from the surface that is not visible, as a share of the scene's extent.
 const SAGITTA: f32 = 2e-5;
 
-/// The meshes of a solution, in an order that depends on the scene alone: elements, then lamps.
+/// Returns the meshes of a solution, in an order that depends only on the scene: elements, then lamps.
 pub fn meshes(look: &Look<'_>) -> Vec<Mesh> {
     let mut meshes = BTreeMap::new();
     let extent = look.prepared.world.bounds().size().length();
@@ -143,7 +143,7 @@ pub fn meshes(look: &Look<'_>) -> Vec<Mesh> {
     meshes.into_values().filter(|mesh| !mesh.triangles.is_empty()).collect()
 }
 
-/// Sides of surfaces that shine and are no elements.
+/// Returns the sides of emitting surfaces that are not elements.
 fn lamps(look: &Look<'_>) -> Vec<Surface> {
     let Prepared { world, instances, materials, .. } = look.prepared;
     let mut lamps = Vec::new();
@@ -178,12 +178,12 @@ fn lamps(look: &Look<'_>) -> Vec<Surface> {
     lamps
 }
 
-/// Where a leaf has vertices.
+/// Vertices of a leaf.
 struct Grid<'a> {
     surface: &'a Surface,
-    /// Columns of vertices by their first local coordinate; of a triangle empty.
+    /// Columns of vertices by their first local coordinate; empty for a triangle.
     columns: Vec<f32>,
-    /// Rows by their second parameter as the shape has it, and their second local coordinate.
+    /// Rows by the second parameter of the shape, and by the second local coordinate.
     rows: Vec<(f64, f32)>,
     outline: Outline,
 }
@@ -217,7 +217,7 @@ impl<'a> Grid<'a> {
         grid
     }
 
-    /// Adds the vertices by `push`, which is told each one's local coordinates, then triangles and edges.
+    /// Adds the vertices through `push`, which receives the local coordinates of each, then triangles and edges.
     fn add(&self, mesh: &mut Mesh, mut push: impl FnMut(&mut Mesh, Vec2, &SurfaceSpot)) {
         let first = mesh.positions.len() as u32;
         if self.columns.is_empty() {
@@ -253,7 +253,8 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// - `v`: the second parameter as the shape has it.
+    /// Returns the surface spot of a vertex.
+    /// - `v`: the second parameter of the shape.
     fn spot(&self, local: Vec2, v: f64) -> SurfaceSpot {
         let place = self.outline.at(local);
         let Form::Curved { shape, pose } = &self.surface.form else { return self.surface.at(place) };
@@ -267,7 +268,7 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// Steps around the axis, and along the second parameter.
+/// Returns the number of steps around the axis, and along the second parameter.
 fn steps(shape: &Quadric, scale: f32, extent: f32) -> [u32; 2] {
     let (radius, straight) = match *shape {
         Quadric::Sphere { radius, .. } => (radius, false),
@@ -275,14 +276,14 @@ fn steps(shape: &Quadric, scale: f32, extent: f32) -> [u32; 2] {
         Quadric::Ring { outer, .. } => (outer, true),
         Quadric::Torus { major, minor, .. } => (major + minor, false),
     };
-    // A chord over the angle a is r a^2 / 8 from its arc.
+    // A chord over the angle a deviates by r a^2 / 8 from its arc.
     let angle = (8.0 * SAGITTA * extent / (radius * scale).max(f32::MIN_POSITIVE)).sqrt();
     let needed = std::f32::consts::TAU / angle;
     let around = STEPS.into_iter().find(|&steps| steps as f32 >= needed).unwrap_or(STEPS[2]);
     [around, if straight { 1 } else { around / 2 }]
 }
 
-/// Both ends, and the multiples of 1 / `steps` between them.
+/// Returns both ends, and the multiples of 1 / `steps` between them.
 fn cuts([from, to]: [f64; 2], steps: u32) -> Vec<f64> {
     let near = 1e-3 / f64::from(steps);
     let inner = (1..steps).map(|step| f64::from(step) / f64::from(steps));
@@ -301,7 +302,8 @@ mod tests {
         Surface { instance: 0, primitives: [0; 2], material: 0, side, form: Form::Curved { shape, pose } }
     }
 
-    /// A surface as leaves: halves along both parameters by turns, those with the first corner cut `deeper` times more.
+    /// Creates the mesh of a surface with leaves: halves along both parameters alternately. Leaves at the first corner are split
+    /// `deeper` more times.
     fn mesh(surface: &Surface, deeper: u32) -> Mesh {
         let mut mesh = Mesh::new((Part::Elements, 0, surface.side == Side::Back));
         let mut pending = vec![(Outline::WHOLE, 0)];
@@ -318,7 +320,7 @@ mod tests {
         mesh
     }
 
-    /// Area, and the volume on the far side of the normals; the triangles' normals must be the vertices'.
+    /// Returns the area, and the volume on the far side of the normals. The triangles' normals must agree with the vertices'.
     fn measures(mesh: &Mesh) -> (f64, f64) {
         mesh.triangles.iter().fold((0.0, 0.0), |(area, volume), triangle| {
             let [a, b, c] = triangle.map(|k| Vec3A::from(mesh.positions[k as usize]).as_dvec3());

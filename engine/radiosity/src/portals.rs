@@ -1,8 +1,9 @@
-//! Portals: parts of space that much light comes through along few ways, such as a gap or a spot that a lamp lights.
+//! Portals: regions of space through which much light comes along few ways, such as a gap or a spot that a lamp lights.
 //!
-//! Of the rays of one leaf few find such light, of all leaves together many. So the bright ways of all leaves are seen as one set of lines, of
-//! which each has gone through some portal or none; a portal is a normal distribution in space, and the lines tell of it what lies across
-//! them (expectation maximization with what is missing, \[dempster1977\]). Each leaf then has the portal in its own direction.
+//! Few rays of one leaf find such light, but the rays of all leaves together find it often. So the bright ways of all leaves are
+//! treated as one set of lines, each of which passes through some portal or none. A portal is a normal distribution in space. The
+//! lines determine its extent only across their directions (expectation maximization with missing data, \[dempster1977\]). Each
+//! leaf then knows the direction of the portal.
 
 use crate::bytes::{Damaged, Reader, Writer};
 use crate::fewer::fewer;
@@ -12,79 +13,80 @@ use femc_math::elementary::{atan2, ln, sin_cos};
 use femc_math::glam::{DMat3, DVec3, Vec3A};
 use std::f64::consts::PI;
 
-/// Most portals of a scene.
+/// Maximum number of portals of a scene.
 const MOST: usize = 6;
-/// Cells of space along the longest side of the ways' bounds.
+/// Number of cells of space along the longest side of the ways' bounds.
 const CELLS: usize = 24;
-/// Cells that portals are sought from, and times that each is made anew.
+/// Number of cells at which the search for portals starts, and number of iterations for each.
 const SEEDS: usize = 6;
 const TURNS: usize = 40;
-/// Ways that portals are sought by; of more, these stand for all.
+/// Maximum number of ways for the search. If there are more, a selection represents all.
 const WAYS: usize = 4096;
-/// Part of all light that a portal has at least, and ways.
+/// Minimum share of a portal in all light, and minimum number of its ways.
 const LEAST: f64 = 0.01;
 const FEW: usize = 12;
-/// Ways through a portal from which on leaves know by their own rays how much comes through it.
+/// Number of ways through a portal from which on the leaves' own rays measure its light well enough.
 const RARE: usize = 2048;
-/// Solid angle, over that of the hemisphere, that a portal fills at most as its ways' origins see it.
+/// Maximum solid angle of a portal as seen from its ways' origins, as a share of the hemisphere.
 const WIDE: f64 = 0.025;
-/// What a line tells on average by whether it goes through a portal, against lines in all directions, nats: any set of lines has places where
-/// some meet by chance.
+/// Minimum mean information of a line about whether it passes through a portal, relative to lines in all directions, nats. In any
+/// set of lines, some meet somewhere by chance.
 const TOLD: f64 = 0.2;
-/// How much wider than the portal is a lobe toward it: a gap has sharp edges, and light just inside them is not to be missed.
+/// Ratio of the width of a lobe to that of its portal. A gap has sharp edges, and light just inside them must not be missed.
 const LOOSE: f32 = 2.0;
-/// Squared distance from a portal's middle, in standard deviations, up to which a line goes through it.
+/// Squared distance from a portal's center, in standard deviations, up to which a line passes through it.
 const NEAR: f64 = 6.0;
 
-/// A bright way that light comes.
+/// A bright way of light.
 #[derive(Clone, Copy, Debug)]
 pub struct Line {
-    /// Where it arrives, m.
+    /// Point where the light arrives, m.
     pub origin: DVec3,
-    /// Toward where it comes from, unit.
+    /// Unit direction toward the origin of the light.
     pub dir: DVec3,
-    /// How far that is, m.
+    /// Length of the way, m.
     pub length: f64,
-    /// How much it matters.
+    /// Weight of the way.
     pub weight: f64,
 }
 
-/// Part of space that light comes through.
+/// A region of space through which light comes.
 #[derive(Clone, Copy, Debug)]
 pub struct Portal {
-    /// m.
+    /// Center, m.
     middle: DVec3,
-    /// m2, its inverse and its determinant.
+    /// Covariance, m2, its inverse and its determinant.
     covariance: DMat3,
     inverse: DMat3,
     determinant: f64,
-    /// Share of all lines that go through it.
+    /// Share of all lines that pass through it.
     share: f64,
-    /// Bright ways that were found to go through it, and their mean direction: light comes from there.
+    /// Number of bright ways through it, and their mean direction, from which the light comes.
     ways: usize,
     toward: DVec3,
 }
 
-/// Where a line is nearest to a portal.
+/// Point of a line that is nearest to a portal.
 struct Passage {
-    /// The place, m, and how uncertain it is along the line, m2.
+    /// Position, m, and its variance along the line, m2.
     place: DVec3,
     along: f64,
-    /// Squared distance from the portal's middle, in standard deviations.
+    /// Squared distance from the portal's center, in standard deviations.
     far: f64,
-    /// Probability density over the area across the line, 1/m2: through the portal's middle, and here over that.
+    /// Probability density over the area across the line, 1/m2, through the portal's center; and the density here relative to that.
     peak: f64,
     tail: f64,
 }
 
 impl Passage {
-    /// Probability density of the direction of a line through the portal's middle, over that of directions evenly over the hemisphere.
+    /// Returns the probability density of the direction of a line through the portal's center, relative to a constant density over
+    /// the hemisphere.
     fn over(&self, line: &Line) -> f64 {
         2.0 * PI * self.peak * self.place.distance_squared(line.origin)
     }
 }
 
-/// a b^T.
+/// Returns a b^T.
 fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
@@ -112,18 +114,18 @@ impl Portal {
         let place = line.origin + line.dir * at;
         let off = place - self.middle;
         let far = off.dot(self.inverse * off).max(0.0);
-        // (1 + q)^-3 with q = 1 at root two standard deviations, as the lobes have it.
+        // (1 + q)^-3 with q = 1 at root two standard deviations, as in the lobes.
         let tail = 1.0 / (1.0 + 0.5 * far);
         let across = (self.determinant / along).max(f64::MIN_POSITIVE).sqrt();
         Passage { place, along, far, peak: 1.0 / (PI * across), tail: tail * tail * tail }
     }
 
-    /// Whether rays have seldom found it.
+    /// Checks whether rays have seldom found it.
     pub fn is_rare(&self) -> bool {
         self.ways < RARE
     }
 
-    /// Whether a way goes through it.
+    /// Checks whether a way passes through it.
     pub fn has(&self, origin: Vec3A, target: Vec3A) -> bool {
         let way = (target - origin).as_dvec3();
         let length = way.length();
@@ -131,7 +133,8 @@ impl Portal {
         length > 0.0 && self.passage(&line).far < NEAR
     }
 
-    /// The portal as it is seen from a point, if it is in front of a plane there and light comes from behind it.
+    /// Returns the lobe of the portal as seen from a point, if the portal is in front of a plane there and light comes from behind
+    /// it.
     pub fn lobe(&self, point: Vec3A, normal: Vec3A, share: f32) -> Option<Lobe> {
         let target = self.middle.as_vec3a();
         let way = target - point;
@@ -151,7 +154,7 @@ impl Portal {
         Some(Lobe { target, axes, share })
     }
 
-    /// Made anew of the lines that go through it; and how much likelier these are by it.
+    /// Fits the portal to the lines that pass through it. Also returns the gain in the likelihood of the lines.
     fn again(&self, lines: &[Line], least: f64) -> Option<(Self, f64)> {
         let (mut sum, mut whole, mut gain) = (0.0, 0.0, 0.0);
         let (mut weights, mut places, mut squares) = (0.0, DVec3::ZERO, DMat3::ZERO);
@@ -162,7 +165,7 @@ impl Portal {
             let amount = line.weight * through / likelihood;
             gain += line.weight * f64::from(ln(likelihood as f32));
             (sum, whole) = (sum + amount, whole + line.weight);
-            // What is far out says less.
+            // Distant lines count less.
             let weight = amount / (1.0 + 0.5 * passage.far);
             let off = passage.place - self.middle;
             weights += weight;
@@ -178,7 +181,7 @@ impl Portal {
         Some((Self::new(self.middle + mean, covariance, share)?, gain))
     }
 
-    /// Whether it has enough of the lines, and of their light, for as wide as it is.
+    /// Checks whether it has enough of the lines, and of their light, for its width.
     fn is_narrow(&self, lines: &[Line], least: f64) -> bool {
         let (mut number, mut light, mut pool, mut wide) = (0, 0.0, 0.0, 0.0);
         for line in lines {
@@ -189,7 +192,7 @@ impl Portal {
                 (number, light, wide) = (number + 1, light + line.weight, wide + line.weight * own);
             }
         }
-        // As a share of the hemisphere, in the mean over the lines: of the density's middle, and of what counts as near.
+        // Mean share of the hemisphere over the lines: of the density's center, and of the region that counts as near.
         let wide = wide / light;
         let (share, even) = (light / pool, (NEAR * wide).min(0.5));
         let told = f64::from(ln((share / even) as f32)) * share
@@ -198,8 +201,8 @@ impl Portal {
     }
 }
 
-/// The portals of a scene, the one that tells most of the bright ways first.
-/// - `whole`: weight of all ways, dim ones too.
+/// Finds the portals of a scene, the one with the most information about the bright ways first.
+/// - `whole`: weight of all ways, including dim ones.
 pub fn find(all: &[Line], whole: f64) -> Vec<Portal> {
     let mut lines = standing_for(all);
     let mut out = Vec::new();
@@ -228,7 +231,7 @@ pub fn find(all: &[Line], whole: f64) -> Vec<Portal> {
     out
 }
 
-/// Writes portals, to the bit.
+/// Writes portals, exact to the bit.
 pub fn write(portals: &[Portal], writer: &mut Writer) {
     writer.number(portals.len() as u64);
     for Portal { middle, covariance, share, ways, toward, .. } in portals {
@@ -238,7 +241,7 @@ pub fn write(portals: &[Portal], writer: &mut Writer) {
     }
 }
 
-/// Reads what [`write`] has written.
+/// Reads the output of [`write`].
 /// - errors: it is damaged.
 pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, Damaged> {
     let count = reader.number()?;
@@ -262,14 +265,14 @@ pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, Damaged> {
 
 const WRONG: Damaged = Damaged("a portal's numbers");
 
-/// Lines that stand for all: [`WAYS`] at most; none weighs more than a hundredth of all.
+/// Selects at most [`WAYS`] lines that represent all. None weighs more than a hundredth of the total.
 fn standing_for(lines: &[Line]) -> Vec<Line> {
     let most = 0.01 * lines.iter().map(|line| line.weight).sum::<f64>();
     let few = fewer(lines, WAYS, |line| line.weight.min(most));
     few.into_iter().map(|(line, weight)| Line { weight, ..line }).collect()
 }
 
-/// Space in cells.
+/// Space divided into cells.
 struct Grid {
     low: DVec3,
     /// Edge of a cell, m.
@@ -288,7 +291,7 @@ impl Grid {
         is_sound.then_some(Self { low, cell, counts })
     }
 
-    /// Middles of cells that lines go through often, seen far from where these arrive: no two next to each other.
+    /// Returns the centers of cells that many lines pass through, far from where these arrive. No two cells are adjacent.
     fn seeds(&self, lines: &[Line]) -> Vec<DVec3> {
         let mut cells = vec![0.0f64; self.counts.iter().product()];
         let place = |index: usize| {
@@ -334,7 +337,7 @@ impl Grid {
 mod tests {
     use super::*;
 
-    /// Numbers in [0, 1).
+    /// Returns a generator of numbers in [0, 1).
     fn numbers() -> impl FnMut() -> f64 {
         let mut state = 1u64;
         move || {
@@ -348,7 +351,7 @@ mod tests {
         Line { origin, dir: way.normalize(), length: way.length(), weight: 1.0 }
     }
 
-    /// Ways from a floor of 4 m through a slot of 6 cm by 2 m to a wall behind it, and as many that go anywhere.
+    /// Ways from a floor of 4 m through a slot of 6 cm by 2 m to a wall behind it, and the same number of random ways.
     #[test]
     fn a_slot_is_found_among_other_ways() {
         let mut number = numbers();
@@ -372,7 +375,7 @@ mod tests {
         let bytes = writer.finish();
         let again = read(&mut Reader::new(&bytes, b"portals1").unwrap()).unwrap();
         assert_eq!(format!("{again:?}"), format!("{portals:?}"));
-        // From the side it is as wide as from the front: the lobe stands across the view.
+        // From the side it is as wide as from the front: the lobe is perpendicular to the view.
         for point in [Vec3A::new(-3.0, -1.5, 0.0), Vec3A::new(-0.5, 0.3, 0.0)] {
             let lobe = portal.lobe(point, Vec3A::Z, 1.0).expect("in front");
             assert!(lobe.axes.iter().all(|axis| axis.dot(lobe.target - point).abs() < 1e-3), "{lobe:?}");
@@ -380,7 +383,7 @@ mod tests {
         assert!(portal.lobe(Vec3A::new(-1.0, 0.0, 2.5), Vec3A::Z, 1.0).is_none(), "behind a ceiling's back");
     }
 
-    /// A way from a floor of 4 m, in a direction by the cosine, to the wall or ceiling of the room over it.
+    /// Returns a way from a floor of 4 m, in a cosine-distributed direction, to the wall or ceiling of the room above it.
     fn any(number: &mut impl FnMut() -> f64) -> Line {
         let origin = DVec3::new(4.0 * number(), 4.0 * number(), 0.0);
         let radius = number().sqrt();
@@ -403,7 +406,7 @@ mod tests {
         assert!(find(&same, 100.0).len() <= 1, "lines that are all the same are no fault");
     }
 
-    /// What is far brighter than the rest weighs no more than a hundredth: no portal is made of one way.
+    /// A way that is far brighter than the rest weighs no more than a hundredth, so no portal is made of one way.
     #[test]
     fn one_way_makes_no_portal() {
         let mut number = numbers();

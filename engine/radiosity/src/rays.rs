@@ -1,9 +1,9 @@
-//! Light that the links have wrong, found by rays from the leaves.
+//! Correction of the links' light with rays from the leaves.
 //!
-//! Links are kept where each alone matters little, but many that are wrong in the same way matter together: a leaf beneath a table is
-//! in the shadow of all of them. So from each leaf rays look for the light that arrives: they are few and noisy, but never biased.
-//! What the links bring is scaled to what the rays find, over parts of surfaces as small as the rays can tell apart: from each
-//! surface down its tree, as far as the rays of a part differ from what is known of the part above by more than chance
+//! Links are kept if each alone matters little, but many links that are wrong in the same way matter together: a leaf beneath a
+//! table is in the shadow of all of them. So rays from each leaf estimate the arriving light. They are few and noisy, but unbiased.
+//! The links' light is scaled to that of the rays, over parts of surfaces as small as the rays can distinguish. The correction goes
+//! from each surface down its tree, as far as the rays of a part differ from the estimate of the part above by more than chance
 //! (James and Stein's estimator, \[efron1973\]).
 
 mod aims;
@@ -30,51 +30,54 @@ use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::ops::Range;
 
-/// Least and most rays from each part of a leaf, and as many in all where that is in between.
+/// Minimum and maximum number of rays from each part of a leaf, and the total number of rays if the number per part is between
+/// these.
 const RAYS: [usize; 2] = [8, 1024];
 const ALL: usize = 1 << 16;
-/// The same where few rays have found portals, so that each leaf is to learn from its own how much comes through them.
+/// Total number of rays if few rays have found portals, so that each leaf measures their light with its own rays.
 const MANY: usize = 4 * ALL;
-/// Rays beside these that leaves have by the light that they send, over all of these.
+/// Number of additional rays, distributed among the leaves by the light that they send, relative to the other rays.
 const BRIGHT: f32 = 1.0;
-/// Parts of a leaf at most, which its nodes stand for.
+/// Maximum number of parts of a leaf, which its nodes represent.
 const PARTS: usize = 4;
-/// How much denser rays from the other end must be to be better than a leaf's own.
+/// Minimum ratio of the density of rays from the other end to that of a leaf's own rays, for the former to be preferred.
 const DENSER: f32 = 32.0;
-/// Bytes of the fewest rays of a surface.
+/// Number of bytes of the minimum number of rays of a surface.
 pub const LEAST_BYTES: usize = PARTS * (size_of::<Sight>() + size_of::<[u32; 2]>());
-/// What a ray has met.
+/// Hit of a ray.
 #[derive(Clone, Copy, Debug)]
 struct Sight {
-    /// The leaf; [`NONE`] of a lamp, or of nothing.
+    /// Leaf that was hit; [`NONE`] for a lamp, or for no hit.
     leaf: u32,
-    /// Irradiance of the ray's origin, if all rays met it, over the leaf's radiosity; of fog over its irradiance; of a lamp in lx.
+    /// Irradiance of the ray's origin, if all rays had this hit, relative to the leaf's radiosity; for fog, relative to its
+    /// irradiance; for a lamp, in lx.
     share: f32,
-    /// Normal there, in 127ths.
+    /// Normal at the hit, in 127ths.
     normal: [i8; 3],
-    /// Normal where the ray begins, in 127ths.
+    /// Normal at the ray's origin, in 127ths.
     start: [i8; 3],
-    /// Part of the leaf; [`ONE_WAY`] of what is seen in a mirror, of fog and of lamps: it receives nothing by this ray.
+    /// Part of the leaf. [`ONE_WAY`] for hits through a mirror, for fog and for lamps, which receive nothing through this ray.
     part: u8,
-    /// The point, m; of what is seen in a mirror the mirrored one.
+    /// Hit point, m; through a mirror, the mirrored point.
     target: [f32; 3],
-    /// Rays that would be expected along such ways from the ray's own leaf, and from that which it has met, over the cosine's density and
-    /// the area, 1/m2.
+    /// Expected number of rays along such ways, over the density of the cosine distribution and the area, 1/m2: from the ray's own
+    /// leaf, and from the leaf that was hit.
     density: [f32; 2],
 }
 
-/// How a way is weighed that rays of either end might find.
+/// Weighting of a way that rays of either end may find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Weights {
-    /// By the rays of both: no way is left out.
+    /// By the rays of both ends. No way is excluded.
     Both,
-    /// By the rays of the leaf itself, unless the other's are [`DENSER`]: what is not stratified adds noise.
+    /// By the rays of the leaf itself, unless those of the other end are [`DENSER`]. Rays that are not stratified add noise.
     Best,
 }
 
 impl Weights {
-    /// Rays an area that a way's light is divided by; 0: it does not count.
-    /// - `own`, `other`: from the leaf itself, and from the other end; `is_own`: who has found it.
+    /// Returns the rays per area by which a way's light is divided; 0: the way does not count.
+    /// - `own`, `other`: densities from the leaf itself, and from the other end;
+    /// - `is_own`: whether the leaf's own ray found the way.
     fn density(self, own: f32, other: f32, is_own: bool) -> f32 {
         match self {
             Self::Both => own + other,
@@ -93,51 +96,53 @@ impl Weights {
 /// See [`Sight::part`].
 const ONE_WAY: u8 = u8::MAX;
 
-/// A way that light comes to a leaf.
+/// A way along which light reaches a leaf.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
-    /// The point of the leaf, m.
+    /// Point of the leaf, m.
     pub origin: Vec3A,
-    /// Where the light comes from, m; of what is seen in a mirror the mirrored point.
+    /// Origin of the light, m; through a mirror, the mirrored point.
     pub target: Vec3A,
-    /// What the way tells of the leaf's mean irradiance, lx: the sum over all ways is an estimate of that.
+    /// Contribution to the leaf's mean irradiance, lx. The sum over all ways is an estimate of that.
     pub irradiance: f32,
-    /// Ways about there that there would be in all directions by the cosine, if they were as dense everywhere.
+    /// Number of ways in all directions, by the cosine distribution, if they were everywhere as dense as here.
     pub number: f32,
 }
 
-/// Rays from all leaves of surfaces. Each tells what its origin receives of where it ends, and where that is a leaf what this one
-/// receives of the origin: light goes both ways. So a way between two leaves may be found by the rays of either; what it is found
-/// to bring is divided by the number of rays that would be expected along it from both, or by that of those that count (multiple
-/// importance sampling by the balance or the maximum heuristic, \[pharr2023\]). Leaves that send much light have more rays: what they light through a small gap is found from their side.
-/// And where earlier rays have told where light comes from, a share of the later ones goes there.
+/// Rays from all leaves of surfaces. Each ray measures the light that its origin receives from its end, and, if its end is a leaf,
+/// the light that this leaf receives from the origin: light travels both ways. So the rays of either leaf may find a way between
+/// them. Its light is divided by the expected number of rays along it from both leaves, or from those that count (multiple
+/// importance sampling with the balance or the maximum heuristic, \[pharr2023\]). Leaves that send much light have more rays, which
+/// find the surfaces that they light through a small gap. A share of the later rays goes in the directions from which earlier rays
+/// have found light.
 #[derive(Debug)]
 pub struct Rays {
-    /// The leaves, by index.
+    /// Leaves by index.
     leaves: Vec<u32>,
-    /// By leaf its first ray, and the end.
+    /// First ray by leaf, and the end.
     first: Vec<u32>,
-    /// Of [`origin`].
+    /// Round, an argument of [`origin`].
     round: u32,
-    /// By leaf and part.
+    /// Hits by leaf and part.
     sights: Vec<Sight>,
-    /// By leaf its first ray from elsewhere, and the end; and of these rays the origin's place among the leaves, and the ray.
+    /// First incoming ray of each leaf, from other leaves, and the end; and for each such ray, the index of its leaf among the
+    /// leaves, and the ray.
     first_from: Vec<u32>,
     from: Vec<[u32; 2]>,
-    /// Rays that were traced.
+    /// Number of traced rays.
     pub traced: u64,
 }
 
 /// Light along a way to a part of a leaf.
 #[derive(Clone, Copy, Debug)]
 struct Way {
-    /// The ray, and its leaf's place among the leaves; `None`: the leaf itself.
+    /// Index of the ray, and of its leaf among the leaves. `None`: the leaf itself.
     ray: usize,
     origin: Option<usize>,
     part: usize,
-    /// What it tells of the leaf's mean irradiance, lx.
+    /// Contribution to the leaf's mean irradiance, lx.
     irradiance: Rgb,
-    /// Ways as dense as here, by the cosine; see [`Seen::number`].
+    /// Number of ways if they were everywhere as dense as here; see [`Seen::number`].
     number: f32,
 }
 
@@ -153,45 +158,46 @@ impl Sight {
     };
 }
 
-/// Parts of a leaf that rays begin on.
+/// Returns the number of parts of a leaf from which rays begin.
 fn parts_of(element: &Element) -> usize {
     if element.count == 3 { 3 } else { PARTS }
 }
 
-/// Rays that are to be cast: how many from each leaf.
+/// Plan for casting rays: the number of rays from each leaf.
 #[derive(Clone, Debug)]
 pub struct Casting {
-    /// The leaves, by index.
+    /// Leaves by index.
     leaves: Vec<u32>,
-    /// By leaf its first ray, and the end.
+    /// First ray by leaf, and the end.
     first: Vec<u32>,
-    /// By element, rays over its area, 1/m2.
+    /// Rays per area by element, 1/m2.
     density: Vec<f32>,
-    /// Of [`origin`].
+    /// Round, an argument of [`origin`].
     round: u32,
 }
 
-/// What rays from some leaves have met.
+/// Hits of rays from some leaves.
 #[derive(Clone, Debug, Default)]
 pub struct Sights {
-    /// Place of the first leaf among all.
+    /// Index of the first leaf among all.
     leaf: u32,
-    /// By leaf its rays.
+    /// Number of rays by leaf.
     counts: Vec<u32>,
     sights: Vec<Sight>,
-    /// Rays that were traced.
+    /// Number of traced rays.
     traced: u64,
 }
 
 impl Casting {
-    /// No rays.
+    /// Creates a plan without rays.
     pub fn none() -> Self {
         Self { leaves: Vec::new(), first: vec![0], density: Vec::new(), round: 0 }
     }
 
-    /// - `room`: bytes that the rays may take; where that is too little, there are fewer, one from each part at least.
-    /// - `round`: others have other rays.
-    /// - `worth_more`: whether more are worth casting, as some have to find how much comes through portals.
+    /// Plans the rays from all leaves.
+    /// - `room`: maximum number of bytes of the rays. If it is too small, there are fewer rays, at least one from each part.
+    /// - `round`: number of the round; each has different rays.
+    /// - `worth_more`: whether more rays are worth casting, because some must measure the light through portals.
     pub fn new(arena: &Arena, lights: &Lights, round: u32, room: usize, worth_more: bool) -> Self {
         let leaves = origins(arena);
         let parts = PARTS * leaves.len().max(1);
@@ -216,24 +222,24 @@ impl Casting {
         Self { leaves, first, density, round }
     }
 
-    /// Places of the leaves of a block: of so many, each has about as many rays.
+    /// Returns the range of the leaves of a block. The blocks have about equal numbers of rays.
     pub fn part(&self, block: u32, blocks: u32) -> Range<usize> {
         part(&self.first, block, blocks)
     }
 
-    /// The rays, by the sights of all leaves in order.
+    /// Creates the rays from the hits of all leaves in order.
     pub fn rays(self, parts: Vec<Sights>) -> Rays {
         Rays::new(self.leaves, self.round, parts)
     }
 
-    /// Whether these are the sights of all leaves, in order.
+    /// Checks that these are the hits of all leaves, in order.
     pub fn fits(&self, arena: &Arena, parts: &[Sights]) -> bool {
         let counts = parts.iter().flat_map(|part| &part.counts).copied();
         are_whole(arena, parts, self.leaves.len()) && counts.eq(self.first.windows(2).map(|ends| ends[1] - ends[0]))
     }
 
     /// Casts the rays of these leaves.
-    /// - `aims`: where a share of them goes.
+    /// - `aims`: guides for a share of the rays.
     pub fn cast(&self, scene: &Scene<'_>, arena: &Arena, aims: &Aims, part: Range<usize>) -> Sights {
         let density = &self.density;
         let counts: Vec<u32> = self.first[part.start..=part.end].windows(2).map(|ends| ends[1] - ends[0]).collect();
@@ -275,7 +281,7 @@ impl Casting {
     }
 }
 
-/// Leaves of surfaces that rays begin on, by index.
+/// Returns the leaves of surfaces from which rays begin, by index.
 pub fn origins(arena: &Arena) -> Vec<u32> {
     let is_leaf = |index: &u32| {
         let element = &arena.elements[*index as usize];
@@ -284,7 +290,7 @@ pub fn origins(arena: &Arena) -> Vec<u32> {
     (0..arena.elements.len() as u32).filter(is_leaf).collect()
 }
 
-/// Whether sights are, in order, those of so many leaves, and what they have met is there.
+/// Checks that hits are, in order, those of `leaves` leaves, and that the leaves that were hit exist.
 pub fn are_whole(arena: &Arena, parts: &[Sights], leaves: usize) -> bool {
     let mut next = 0;
     let follow = parts.iter().all(|part| {
@@ -296,8 +302,8 @@ pub fn are_whole(arena: &Arena, parts: &[Sights], leaves: usize) -> bool {
     follow && next == leaves && sights().all(|sight| sight.leaf == NONE || (sight.leaf as usize) < arena.elements.len())
 }
 
-/// Of so many parts this one, each with about as much.
-/// - `first`: by item what those before it have together, and at the end what all have.
+/// Returns the range of items of a block, if all blocks have about equal amounts.
+/// - `first`: for each item the total of those before it, and at the end the total of all.
 pub fn part(first: &[u32], block: u32, blocks: u32) -> Range<usize> {
     let (items, whole) = (first.len() - 1, u64::from(first[first.len() - 1]));
     let at = |block: u32| match block {
@@ -309,7 +315,7 @@ pub fn part(first: &[u32], block: u32, blocks: u32) -> Range<usize> {
 }
 
 impl Rays {
-    /// By the sights of all leaves, in order.
+    /// Creates the rays from the hits of all leaves, in order.
     pub fn new(leaves: Vec<u32>, round: u32, parts: Vec<Sights>) -> Self {
         let ends = parts.iter().flat_map(|part| &part.counts).scan(0, |end, count| {
             *end += count;
@@ -326,13 +332,13 @@ impl Rays {
         out
     }
 
-    /// Rays of a group of leaves.
+    /// Returns the number of rays of a group of leaves.
     pub fn number(&self, leaves: &[u32]) -> u32 {
         let of = |leaf: &u32| self.leaves.binary_search(leaf).map_or(0, |at| self.first[at + 1] - self.first[at]);
         leaves.iter().map(of).sum()
     }
 
-    /// By leaf the rays from elsewhere.
+    /// Builds the reverse index: the incoming rays of each leaf.
     fn turn_round(&mut self) {
         let place = |sight: &Sight| {
             let both = sight.part != ONE_WAY && sight.share > 0.0;
@@ -357,12 +363,13 @@ impl Rays {
         (self.first_from, self.from) = (first, from);
     }
 
-    /// Bytes.
+    /// Returns the number of bytes of the rays.
     pub fn bytes(&self) -> usize {
         size_of_val(&*self.sights) + size_of_val(&*self.from) + 20 * self.leaves.len()
     }
 
-    /// Ways that light comes to the leaf at this place, by the light as it is now: those of its rays, then those of others that have met it.
+    /// Visits the ways along which light reaches the leaf at this index, with the current light: those of its own rays, then those
+    /// of other leaves' rays that hit it.
     fn ways(&self, (arena, lights): (&Arena, &Lights), place: usize, weights: Weights, mut each: impl FnMut(Way)) {
         let element = &arena.elements[self.leaves[place] as usize];
         let [first, end] = [self.first[place], self.first[place + 1]].map(|at| at as usize);
@@ -386,14 +393,14 @@ impl Rays {
         }
     }
 
-    /// Where a ray begins.
+    /// Returns the origin of a ray.
     fn origin_of(&self, scene: &Scene<'_>, arena: &Arena, place: usize, ray: usize) -> SurfaceSpot {
         let element = &arena.elements[self.leaves[place] as usize];
         let [first, end] = [self.first[place], self.first[place + 1]].map(|at| at as usize);
         origin(scene, element, &Aim::NONE, ray - first, (end - first) / parts_of(element), self.round).0
     }
 
-    /// By leaf, in the order of their indices: the light that its ways bring, lm, and the sum of its squares.
+    /// Returns by leaf, in the order of their indices, the light of its ways, lm, and the sum of its squares.
     pub fn light(&self, arena: &Arena, lights: &Lights) -> Vec<(u32, [f32; 2])> {
         let of = |place: usize| {
             let leaf = self.leaves[place];
@@ -410,8 +417,8 @@ impl Rays {
         (0..self.leaves.len()).into_par_iter().map(of).collect()
     }
 
-    /// Ways that light comes to a leaf, by the light as it is now.
-    /// - `is_wanted`: by [`Seen::irradiance`] and [`Seen::number`]; the others are left out before their ends are found.
+    /// Returns the ways along which light reaches a leaf, with the current light.
+    /// - `is_wanted`: filter on [`Seen::irradiance`] and [`Seen::number`], applied before the ends of a way are computed.
     pub fn of(
         &self,
         (scene, arena): (&Scene<'_>, &Arena),
@@ -435,7 +442,7 @@ impl Rays {
     }
 }
 
-/// A unit vector in 127ths.
+/// Packs a unit vector in 127ths.
 fn packed(normal: Vec3A) -> [i8; 3] {
     (normal * 127.0).round().to_array().map(|x| x as i8)
 }
@@ -444,7 +451,7 @@ fn unpacked(normal: [i8; 3]) -> Vec3A {
     Vec3A::from_array(normal.map(f32::from)).normalize_or_zero()
 }
 
-/// Part of a leaf at a place in it.
+/// Returns the part of a leaf at a position in it.
 fn part_at(element: &Element, local: Vec2) -> usize {
     if element.count == 3 {
         let weights = [1.0 - local.x - local.y, local.x, local.y];
@@ -454,9 +461,10 @@ fn part_at(element: &Element, local: Vec2) -> usize {
     }
 }
 
-/// Where a ray of a leaf begins, by parts in turn, its direction, by the cosine, and two numbers in [0, 1) for it.
-/// - `each`: rays of a part;
-/// - `round`: in each the rays are others.
+/// Returns the origin of a ray of a leaf, its direction, by the cosine distribution, and two further numbers in [0, 1). Successive
+/// rays begin on the parts of the leaf in turn.
+/// - `each`: number of rays of a part;
+/// - `round`: number of the round; each has different rays.
 fn origin(
     scene: &Scene<'_>,
     element: &Element,
@@ -473,7 +481,7 @@ fn origin(
     let mut numbers = Numbers::new(&[element.key, 12, u64::from(round), ray as u64]);
     let mut local = Vec2::new(numbers.next(), numbers.next());
     if parts == 3 {
-        // Of three parts, of the points next to a corner each.
+        // Each of three parts has the points nearest to one corner.
         if local.x + local.y > 1.0 {
             local = Vec2::ONE - local;
         }
@@ -485,7 +493,7 @@ fn origin(
         local = 0.5 * (local + Vec2::new((part % 2) as f32, (part / 2) as f32));
     }
     let spot = surface.at(element.outline.at(local));
-    // Lattices, shifted.
+    // Shifted lattices.
     let aimed = aim.number(each);
     let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, each - aimed) };
     let u = [(turn as f32 + shift[0]) / of as f32, (turn as f32 * 0.618_034 + shift[1]).fract()];
@@ -498,8 +506,8 @@ fn origin(
     (spot, dir, [numbers.next(), numbers.next()])
 }
 
-/// What a ray meets: a surface that scatters, the fog, or a lamp that it sees in a mirror or through bent glass. From mirrors and clear
-/// surfaces it goes on.
+/// Traces a ray to its hit: a surface that scatters, the fog, or a lamp seen through a mirror or refracting glass. Mirrors and
+/// clear surfaces pass it on.
 /// - `u`: numbers in [0, 1).
 fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32; 2], eye: &mut Eye) -> Sight {
     let nothing = Sight::NOTHING;
@@ -537,7 +545,7 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
         let point = prepared.surface(&ray, &hit);
         let is_back = point.normal.dot(ray.dir) > 0.0;
         if is_bent && point.light != NONE {
-            // Of what comes straight or unbent the links with lamps know.
+            // Light that arrives without a change of direction is covered by the links with lamps.
             let (lights, world) = (&prepared.lights, &prepared.world);
             let lamp = (point.light, TIME, point.normal, -ray.dir, point.parametric);
             let radiance = lights.radiance(world, &prepared.textures, lamp.0, lamp.1, lamp.2, lamp.3, lamp.4);
@@ -592,7 +600,7 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
     nothing
 }
 
-/// Irradiance of a ray's origin, if all rays met the same, lx.
+/// Returns the irradiance of a ray's origin, if all rays had this hit, lx.
 fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> Rgb {
     if sight.leaf == NONE {
         return Rgb::splat(sight.share);
@@ -604,8 +612,8 @@ fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> Rgb {
     radiosity(arena, lights, sight.leaf, unpacked(sight.normal)) * sight.share
 }
 
-/// Radiosity of a leaf of a surface, lx.
-/// - `normal`: of a curved one at the point that is meant.
+/// Returns the radiosity of a leaf of a surface, lx.
+/// - `normal`: normal at the point, for a curved leaf.
 fn radiosity(arena: &Arena, lights: &Lights, leaf: u32, normal: Vec3A) -> Rgb {
     let element = &arena.elements[leaf as usize];
     let radiosity = if element.kind == Kind::Ball {

@@ -1,4 +1,4 @@
-//! What the solver needs of a prepared frame: sides of surfaces, what they reflect, where fog is.
+//! Data of a prepared frame for the solver: sides of surfaces, their reflectance, and the bounds of the fog.
 
 use femc_field::{Form, NONE, Side, Surface};
 use femc_geometry::Ray;
@@ -7,18 +7,18 @@ use femc_math::glam::Vec3A;
 use femc_prepared::{Orientation, Prepared};
 use femc_scattering::{Bsdf, Sides};
 
-/// A time of the shutter: what moves is taken where it is in the middle.
+/// Time of the shutter. Moving objects are at their position in the middle of the shutter interval.
 pub const TIME: f32 = 0.5;
 
 /// Surfaces and fog of a frame.
 pub struct Scene<'a> {
     pub prepared: &'a Prepared,
     pub surfaces: Vec<Surface>,
-    /// By instance and primitive: surface of the front and of the back, or [`NONE`].
+    /// Surfaces of the front and of the back by instance and primitive, or [`NONE`].
     pub sides: Vec<Vec<[u32; 2]>>,
-    /// Box around the fog that matters, if there is any.
+    /// Box around the relevant fog, if there is any.
     pub fog: Option<[Vec3A; 2]>,
-    /// Extinction of the fog, 1/m, where it is gray and the same everywhere.
+    /// Extinction of the fog, 1/m, if it is gray and homogeneous.
     pub haze: Option<f32>,
     /// Light sources.
     pub lamps: Vec<Lamp>,
@@ -28,12 +28,12 @@ pub struct Scene<'a> {
 
 /// A light source.
 pub struct Lamp {
-    /// A sphere around it.
+    /// Bounding sphere.
     pub center: Vec3A,
     pub radius: f32,
-    /// Candela in the brightest direction, if it shines as a Lambertian surface does.
+    /// Luminous intensity in the brightest direction, cd, if it emits like a Lambertian surface.
     pub intensity: f32,
-    /// Of a polygon that is as bright everywhere: corners counter-clockwise about its normal and luminance, of each side that shines.
+    /// Corners, counterclockwise around the normal, and luminance of each emitting side of a polygon with constant radiance.
     pub polygons: Vec<(Vec<Vec3A>, Rgb)>,
 }
 
@@ -101,12 +101,12 @@ impl<'a> Scene<'a> {
         Self { prepared, surfaces, sides, fog: fog(prepared), haze: prepared.media.even_extinction(), lamps, reflected }
     }
 
-    /// What a surface reflects and lets through, as a share of what it receives.
+    /// Returns the reflected and transmitted shares of the light that a surface receives.
     pub fn reflected(&self, surface: u32) -> (Rgb, Rgb) {
         self.reflected[self.surfaces[surface as usize].material as usize]
     }
 
-    /// The other side of a surface, or [`NONE`].
+    /// Returns the other side of a surface, or [`NONE`].
     pub fn behind(&self, surface: u32) -> u32 {
         let Surface { instance, primitives, side, .. } = &self.surfaces[surface as usize];
         self.sides[*instance as usize][primitives[0] as usize][usize::from(*side == Side::Front)]
@@ -116,7 +116,7 @@ impl<'a> Scene<'a> {
 /// Direction halfway between the normal and grazing, by solid angle.
 pub const BETWEEN: Vec3A = Vec3A::new(0.866_025_4, 0.0, 0.5);
 
-/// Diffuse reflectance and transmittance, with what is reflected with a gloss; mirrors and clear solids give nothing.
+/// Returns the diffuse reflectance and transmittance, including glossy reflection. Mirrors and clear solids contribute nothing.
 pub fn scattered(bsdf: &Bsdf) -> (Rgb, Rgb) {
     let wo = BETWEEN;
     match bsdf {
@@ -128,10 +128,11 @@ pub fn scattered(bsdf: &Bsdf) -> (Rgb, Rgb) {
     }
 }
 
-/// Free paths beyond the surfaces up to which fog is taken.
+/// Number of free paths beyond the surfaces to which the fog is extended.
 const FAR: f32 = 2.0;
 
-/// A box around the fog that scatters: around all surfaces, and where the scene is open as far beyond as light goes in the fog.
+/// Returns a box around the fog that scatters: around all surfaces, and in open directions extended by the range of light in the
+/// fog.
 fn fog(prepared: &Prepared) -> Option<[Vec3A; 2]> {
     if prepared.media.is_empty() {
         return None;
@@ -151,7 +152,7 @@ fn fog(prepared: &Prepared) -> Option<[Vec3A; 2]> {
     (bounds.size().cmpgt(Vec3A::ZERO).all() && bounds.size().is_finite()).then_some([bounds.min, bounds.max])
 }
 
-/// Whether most rays along an axis leave the scene.
+/// Checks whether most rays along an axis leave the scene.
 fn is_open(prepared: &Prepared, axis: usize, outward: f32) -> bool {
     const RAYS: u32 = 64;
     let bounds = prepared.world.bounds();

@@ -1,4 +1,4 @@
-//! The solver: elements, links, light, until the light no longer changes.
+//! Solver: creates elements and links, and iterates until the light no longer changes.
 
 use crate::arena::Arena;
 use crate::census::Census;
@@ -16,15 +16,15 @@ use femc_math::color::luminance;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// How exact the solution is to be, and what it may take.
+/// Accuracy and limits of a solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Greatest error of one link, as a share of its receiver's irradiance.
+    /// Maximum error of one link, as a share of its receiver's irradiance.
     pub error: f32,
-    /// Bytes that elements and links may take: where they are taken, elements are not cut further, and where links alone take as many, links are
-    /// left as coarse as they are.
+    /// Limit for the bytes of elements and links. When it is reached, elements are not split further. When links alone reach it,
+    /// links are not refined further.
     pub memory: usize,
-    /// Whether the field is to say where light comes from, for those who draw directions by it.
+    /// Whether the field must have guides: the directions from which light comes, for sampling.
     pub guides: bool,
 }
 
@@ -34,99 +34,100 @@ impl Default for Options {
     }
 }
 
-/// What a solution is made of.
+/// Statistics of a solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Report {
-    /// Parts of surfaces and of fog.
+    /// Number of parts of surfaces and of fog.
     pub elements: usize,
-    /// Those that are not cut further.
+    /// Number of elements that are not split.
     pub leaves: usize,
-    /// Links among elements.
+    /// Number of links among elements.
     pub links: usize,
-    /// Links with light sources.
+    /// Number of links with light sources.
     pub lamp_links: usize,
-    /// Links that are not as exact as asked for: the elements may not be cut further.
+    /// Number of links that are less exact than requested because their elements may not be split further.
     pub refused: usize,
-    /// Visibility rays.
+    /// Number of visibility rays.
     pub rays: u64,
-    /// Times that light was passed on through all links.
+    /// Number of iterations, each of which passes light through all links.
     pub iterations: usize,
-    /// What further iterations would change of the light that leaves all elements, as far as the latest tell, as a share of it.
+    /// Estimated change of the light that leaves all elements by further iterations, as a share of that light.
     pub residual: f32,
-    /// Greatest irradiance of a point if all that it sees had a radiosity of 1: 1 in a closed scene, if all links were exact.
+    /// Greatest irradiance of a point if everything that it sees has a radiosity of 1. It is 1 in a closed scene if all links are
+    /// exact.
     pub row_sum: f32,
-    /// Whether light grew from reflection to reflection: what points receive beyond 1 in that sense was left out then.
+    /// Whether light grew from reflection to reflection. Irradiance beyond 1 in the sense of `row_sum` was then removed.
     pub bounded: bool,
-    /// Light that rays find on all surfaces, over what the links bring there; 1 where these bring none.
+    /// Light that rays find on all surfaces, relative to that of the links there; 1 if the links have none.
     pub checked: f32,
-    /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
+    /// Root mean square of the resulting correction over all surfaces, relative to the links' mean.
     pub corrected: f32,
-    /// Bytes of elements, links and rays.
+    /// Number of bytes of elements, links and rays.
     pub bytes: usize,
     /// Elements and links by kind.
     pub census: Census,
 }
 
-/// The light of a scene, and how it was found.
+/// Light of a scene, with a report.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// The light.
+    /// Light of the scene.
     pub field: Field,
-    /// By leaf of the field: what comes straight from light sources, as the elements have it.
+    /// Direct light from light sources, as in the elements, by leaf of the field.
     pub direct: Vec<Leaf>,
-    /// How it was found.
+    /// Report on the solution.
     pub report: Report,
 }
 
-/// The caller cancelled it.
+/// Error: the caller cancelled the solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cancelled;
 
-/// Errors of a link that are allowed one after the other, as multiples of what is asked for.
+/// Allowed errors of a link in successive levels, as multiples of the requested error.
 const COARSE: [f32; 3] = [8.0, 2.5, 1.0];
-/// An iteration after which the light that leaves all elements would change by no more than this share of it is the last. A greater
-/// [`Report::residual`] says that light did not come to rest.
+/// Share of the light that leaves all elements. Iteration stops when the change is no more than this. A greater
+/// [`Report::residual`] means that the light has not converged.
 pub const RESIDUAL: f32 = 1e-4;
-/// Iterations in a row that each change more than the one before: light grows.
+/// Number of successive iterations with growing changes after which light counts as growing.
 const GROWING: usize = 4;
-/// Most iterations at one level of refinement.
+/// Maximum number of iterations at one level of refinement.
 const ITERATIONS: usize = 400;
-/// Times that rays are cast, and between them leaves cut where these find shadows.
+/// Number of times that rays are cast. Between two casts, leaves are split where the rays find shadows.
 pub const ROUNDS: u32 = 3;
-/// Times that the light of the links is compared with that of the same rays.
+/// Number of times that the links' light is compared with the same rays.
 const CHECKS: usize = 2;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
 const FLOOR: f32 = 0.03;
-/// Bytes that links may take, where elements and links are to take less.
+/// Minimum limit for the bytes of links, even if elements and links have a smaller limit.
 const LEAST_MEMORY: usize = 1 << 20;
-/// Parts of all surfaces' area, and of the fog's volume, that are not cut further, over the error.
+/// Minimum area, and minimum volume of fog, of an element that may be split: shares of the total, divided by the error.
 const LEAST_AREA: f32 = 1e-4;
 const LEAST_VOLUME: f32 = 1e-5;
-/// An element of this part of all surfaces' area, or of the fog's volume, may have the error that is asked for as it is.
+/// Share of all surfaces' area, or of the fog's volume, of an element that may have exactly the requested error.
 const UNIT: f32 = 1e-3;
 
-/// A first pass that is not done: elements, links, light.
+/// State of a first pass that is not finished: elements, links, light.
 #[derive(Clone, Debug)]
 pub struct Underway {
     pub(crate) arena: Arena,
     pub(crate) lights: Lights,
-    /// By receiver and source, ascending.
+    /// Links by receiver and source, ascending.
     pub(crate) links: Vec<Link>,
     pub(crate) report: Report,
-    /// Bytes of rays at most.
+    /// Maximum number of bytes of rays.
     pub(crate) most_rays: usize,
-    /// Times that rays have been cast; [`ROUNDS`] where no more are wanted.
+    /// Number of times that rays have been cast; [`ROUNDS`] if no more are needed.
     pub(crate) round: u32,
-    /// Leaves that are to be cut before rays are cast again.
+    /// Leaves to split before rays are cast again.
     pub(crate) uneven: Vec<u32>,
-    /// Whether more rays are worth casting, as some have to find how much comes through portals.
+    /// Whether more rays are worth casting, because some must measure the light through portals.
     pub(crate) worth_more: bool,
-    /// Parts of space that much light comes through, by the rays that were cast last; of a field that guides paths.
+    /// Portals found by the latest rays, for a field that guides paths.
     pub(crate) portals: Vec<Portal>,
 }
 
 impl Underway {
-    /// Whether rays have been cast as often as they are to be.
+    /// Checks whether all rounds of rays are done.
     pub(crate) fn is_settled(&self) -> bool {
         self.round == ROUNDS
     }
@@ -137,8 +138,8 @@ impl Underway {
             + self.arena.wide * size_of::<crate::gather::Arriving>()
     }
 
-    /// Rays that are to be cast next.
-    /// - `memory`: bytes that elements, links and rays may take.
+    /// Plans the next rays.
+    /// - `memory`: maximum number of bytes of elements, links and rays.
     pub(crate) fn casting(&self, memory: usize) -> Casting {
         if self.is_settled() {
             return Casting::none();
@@ -147,7 +148,7 @@ impl Underway {
         Casting::new(&self.arena, &self.lights, self.round + 1, room, self.worth_more)
     }
 
-    /// Cuts the leaves on which rays have found shadows.
+    /// Splits the leaves on which rays have found shadows.
     pub(crate) fn cut(&mut self, scene: &Scene<'_>) {
         for leaf in std::mem::take(&mut self.uneven) {
             let (halves, _) = self.arena.children(scene, leaf);
@@ -159,8 +160,8 @@ impl Underway {
         self.lights.push_pull(scene, &self.arena);
     }
 
-    /// What has come of it.
-    /// - `guides`: by leaf, and their lobes.
+    /// Creates the solution.
+    /// - `guides`: guides by leaf, and their lobes.
     pub(crate) fn finish(&self, scene: Scene<'_>, (guides, lobes): (Vec<Guide>, Vec<Lobe>)) -> Solution {
         let elements = &self.arena.elements;
         let report = if self.arena.root == NONE {
@@ -176,7 +177,7 @@ impl Underway {
             }
         };
         let (field, direct, fog) = field(scene, &self.arena, &self.lights);
-        // `Solution::verify` refuses it.
+        // `Solution::verify` rejects NaN.
         let residual = if fog == FogLight::Sound { report.residual } else { f32::NAN };
         let report = Report { residual, ..report };
         let field = Field { guides: Guides::new(guides, lobes, &field.cells, &field.leaves), ..field };
@@ -192,7 +193,7 @@ pub(crate) struct Solver<'a> {
 }
 
 impl<'a> Solver<'a> {
-    /// With all links.
+    /// Creates a solver with all links refined.
     /// - errors: `cancel` was set.
     pub(crate) fn new(scene: &'a Scene<'a>, options: &'a Options, cancel: &'a AtomicBool) -> Result<Self, Cancelled> {
         let arena = Arena::new(scene);
@@ -213,7 +214,7 @@ impl<'a> Solver<'a> {
             (solver.now.report.refused, solver.now.report.bounded) = (0, false);
             solver.now.lights.unbounded();
             let error = options.error * coarse;
-            // Where the light falls first; then where it goes.
+            // Direct light first, then the light between elements.
             solver.light_up(error.min(0.1))?;
             if round == 0 {
                 solver.now.lights.push_pull(scene, &solver.now.arena);
@@ -228,12 +229,12 @@ impl<'a> Solver<'a> {
         Ok(solver)
     }
 
-    /// Goes on.
+    /// Creates a solver that continues from a state.
     pub(crate) fn with(underway: Underway, scene: &'a Scene<'a>, options: &'a Options, cancel: &'a AtomicBool) -> Self {
         Self { scene, now: underway, options, cancel }
     }
 
-    /// Mean irradiance of all surfaces, by luminance, lx.
+    /// Returns the mean irradiance of all surfaces, by luminance, lx.
     fn mean(&self) -> f32 {
         let roots = self.now.arena.roots.iter().filter(|&&root| root != NONE);
         let (sum, area) = roots.fold((0.0f64, 0.0f64), |(sum, area), &root| {
@@ -243,7 +244,7 @@ impl<'a> Solver<'a> {
         if area > 0.0 { (sum / area) as f32 } else { self.now.lights.of[self.now.arena.root as usize].mean }
     }
 
-    /// A first idea of what elements receive: as if nothing were between them and the light sources.
+    /// Makes a first estimate of the irradiance of elements, without occlusion of the light sources.
     fn open(&mut self) {
         let (lights, world) = (&self.scene.prepared.lights, &self.scene.prepared.world);
         let found: Vec<f32> = self
@@ -319,7 +320,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Light of the sources, on elements as fine as it needs.
+    /// Computes the light of the sources, on elements that are as fine as it requires.
     fn light_up(&mut self, error: f32) -> Result<(), Cancelled> {
         let mut pending: Vec<(u32, u32)> =
             (0..self.scene.prepared.lights.len() as u32).map(|lamp| (self.now.arena.root, lamp)).collect();
@@ -369,7 +370,7 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    /// Links until each is as exact as asked for.
+    /// Refines links until each is as exact as requested.
     fn refine(&mut self, error: f32) -> Result<(), Cancelled> {
         let mut pending = std::mem::take(&mut self.now.links);
         let mut done = Vec::new();
@@ -426,7 +427,7 @@ impl<'a> Solver<'a> {
                 (self.now.report.bounded, before) = (true, f64::INFINITY);
                 continue;
             }
-            // What further iterations would change in all, if each changes as much less as the latest did.
+            // Total change of further iterations, if each change shrinks at the latest rate.
             let rate = if before.is_finite() { (change / before).min(0.99) } else { 0.99 };
             before = change;
             let left = change * rate / (1.0 - rate);
@@ -438,7 +439,7 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    /// Takes of the light that links bring what rays find of it, and finds out which leaves are too large for the shadows that these find.
+    /// Corrects the links' light with the rays, and determines the leaves that are too large for the shadows found.
     pub(crate) fn settle(&mut self, rays: &Rays) -> Result<(), Cancelled> {
         if self.now.is_settled() {
             return Ok(());
@@ -466,7 +467,7 @@ impl<'a> Solver<'a> {
             let uneven = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
             self.now.uneven = uneven;
             if !self.options.guides && self.now.uneven.is_empty() {
-                // Nothing is cut, and rays go nowhere else: there is nothing to find out.
+                // Nothing is split, and new rays would go nowhere else, so they would bring no new information.
                 self.now.round = ROUNDS;
             }
         }
@@ -474,7 +475,7 @@ impl<'a> Solver<'a> {
     }
 }
 
-/// Verdicts in order, and the rays that they took.
+/// Returns the verdicts in order, and the number of their rays.
 fn judged<T: Sync, V: Send>(pending: &[T], judge: impl Fn(&T, &mut Eye) -> V + Sync) -> (Vec<V>, u64) {
     let chunks: Vec<(Vec<V>, u64)> = pending
         .par_chunks(256)
@@ -488,7 +489,7 @@ fn judged<T: Sync, V: Send>(pending: &[T], judge: impl Fn(&T, &mut Eye) -> V + S
     (chunks.into_iter().flat_map(|(verdicts, _)| verdicts).collect(), rays)
 }
 
-/// Leaves of surfaces, in the order of the field.
+/// Returns the leaves of surfaces, in the order of the field.
 pub(crate) fn leaves(arena: &Arena) -> Vec<u32> {
     let mut leaves = Vec::new();
     for &root in arena.roots.iter().filter(|&&root| root != NONE) {
@@ -507,16 +508,16 @@ pub(crate) fn leaves(arena: &Arena) -> Vec<u32> {
     leaves
 }
 
-/// Light of the fog of a solution.
+/// State of the fog's light in a solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FogLight {
-    /// Finite and not negative, or there is no fog.
+    /// Finite and not negative, or without fog.
     Sound,
     /// Not finite, or negative: the field has no fog.
     Broken,
 }
 
-/// Light that is kept of a solution; beside it the light that comes straight from light sources.
+/// Creates the field of a solution, and the direct light from light sources.
 fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> (Field, Vec<Leaf>, FogLight) {
     let mut field = Field { roots: vec![NONE; scene.surfaces.len()], ..Field::default() };
     let mut direct = Vec::new();
@@ -524,7 +525,7 @@ fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> (Field, Vec<Leaf>,
         if root == NONE {
             continue;
         }
-        // Breadth first, so that two halves follow each other.
+        // Breadth first, so that two halves are adjacent.
         let first = field.cells.len() as u32;
         field.roots[surface] = first;
         let mut order = vec![root];

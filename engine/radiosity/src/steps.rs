@@ -1,10 +1,10 @@
-//! The first pass in steps, between which machines can share it.
+//! First pass in steps, which several machines can share.
 //!
-//! [`Underway::begin`] links all elements: one machine's work. Then, three times, rays are cast and what they find is taken in: the rays
-//! are those of blocks of leaves ([`Aimed::cast`]), the rest is one machine's work again ([`Aimed::settle`]). Between two times, and at the
-//! end where the field is to guide paths, blocks of groups of leaves find out where their light comes from ([`Settled::guides`]).
-//! What a step needs of the ones before travels as bytes; the blocks are those of the elements alone, so who does which changes no bit, and
-//! [`crate::solve`], which does all of it in one go, has the same result.
+//! [`Underway::begin`] links all elements on one machine. Then, three times, rays are cast and their results are applied. The rays
+//! are cast by blocks of leaves ([`Aimed::cast`]), the rest is done on one machine again ([`Aimed::settle`]). Between two rounds,
+//! and at the end if the field guides paths, the guides are computed by blocks of groups of leaves ([`Settled::guides`]). The state
+//! between steps travels as bytes. The blocks depend only on the elements, so the distribution over machines changes no bit, and
+//! [`crate::solve`], which does all steps in one process, has the same result.
 
 use crate::arena::Arena;
 use crate::bytes::{Damaged, Reader, Writer, colors, flat, place};
@@ -23,7 +23,7 @@ use femc_prepared::Prepared;
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
-/// Finds the light of a prepared frame. The result depends on the frame and the options alone, not on threads.
+/// Computes the light of a prepared frame. The result depends only on the frame and the options, not on threads.
 /// - errors: `cancel` was set.
 pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Result<Solution, Cancelled> {
     let (mut underway, mut found) = (Underway::begin(prepared, options, cancel)?, Vec::new());
@@ -37,15 +37,15 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
     Ok(underway.solution(prepared, found))
 }
 
-/// Bytes that the first pass of a prepared frame takes at least: of elements that are not cut, and of a ray from each part of them. What is cut
-/// and linked beyond that follows from [`Options::memory`].
+/// Returns the minimum number of bytes of the first pass of a prepared frame: for elements that are not split, and for one ray from
+/// each part of them. Memory for splits and links beyond that follows from [`Options::memory`].
 pub fn least_bytes(prepared: &Prepared) -> u64 {
     let surfaces = Scene::new(prepared).surfaces.len();
     // Each surface is an element, and has about one cluster.
     (surfaces * (2 * (size_of::<Element>() + Lights::BYTES) + size_of::<Arriving>() + crate::rays::LEAST_BYTES)) as u64
 }
 
-/// A first pass before rays are cast: it is known where they are to go.
+/// A first pass before rays are cast, with their guides.
 #[derive(Debug)]
 pub struct Aimed {
     underway: Underway,
@@ -53,7 +53,7 @@ pub struct Aimed {
     casting: Casting,
 }
 
-/// A first pass after what rays have found was taken in.
+/// A first pass after the results of rays were applied.
 #[derive(Debug)]
 pub struct Settled {
     underway: Underway,
@@ -65,11 +65,11 @@ pub struct Settled {
 #[derive(Debug)]
 struct Groups {
     groups: Vec<(u32, Vec<u32>)>,
-    /// By group the rays and leaves of those before it, and at the end of all.
+    /// Total rays and leaves of the groups before each group, and at the end of all.
     first: Vec<u32>,
 }
 
-/// Where the light of some groups of leaves comes from.
+/// Guides of some groups of leaves.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Found {
     groups: Vec<Vec<u32>>,
@@ -81,26 +81,26 @@ const LINKS: &[u8; 8] = b"links  1";
 const FOUND: &[u8; 8] = b"guides 2";
 
 impl Underway {
-    /// All elements and links of a prepared frame, before rays are cast.
+    /// Creates all elements and links of a prepared frame, before rays are cast.
     /// - errors: `cancel` was set.
     pub fn begin(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Result<Self, Cancelled> {
         let scene = Scene::new(prepared);
         Ok(Solver::new(&scene, options, cancel)?.now)
     }
 
-    /// Times that rays have been cast.
+    /// Returns the number of times that rays have been cast.
     pub fn round(&self) -> u32 {
         self.round
     }
 
-    /// What it is made of so far.
+    /// Returns the statistics so far.
     pub fn report(&self) -> Report {
         let elements = self.arena.elements.iter().filter(|element| element.kind != Kind::Cluster).count();
         Report { elements, links: self.links.len(), ..self.report }
     }
 
-    /// Makes ready for rays.
-    /// - `found`: where the light of all groups of leaves comes from, in order; none before the first rays.
+    /// Prepares the state for casting rays.
+    /// - `found`: guides of all groups of leaves, in order; none before the first rays.
     pub fn aim(mut self, prepared: &Prepared, options: &Options, found: Vec<Found>) -> Aimed {
         let scene = Scene::new(prepared);
         let leaves = leaves(&self.arena);
@@ -114,8 +114,8 @@ impl Underway {
         Aimed { underway: self, aims, casting }
     }
 
-    /// The same after rays, by their sights in order.
-    /// - errors: they are those of other elements.
+    /// Creates the state after rays from their hits, in order.
+    /// - errors: the hits belong to other elements.
     pub fn settled(self, sights: Vec<Sights>) -> Result<Settled, Damaged> {
         let origins = origins(&self.arena);
         if !are_whole(&self.arena, &sights, origins.len()) {
@@ -125,13 +125,13 @@ impl Underway {
         Ok(Settled::new(self, rays))
     }
 
-    /// The solution.
-    /// - `found`: where the light of all groups comes from, in order; none of a field that guides no paths.
+    /// Creates the solution.
+    /// - `found`: guides of all groups, in order; none for a field that does not guide paths.
     pub fn solution(&self, prepared: &Prepared, found: Vec<Found>) -> Solution {
         self.finish(Scene::new(prepared), joined(found, &leaves(&self.arena)))
     }
 
-    /// Its links as bytes, which stay as they are from the first step on.
+    /// Encodes the links, which do not change after the first step.
     pub fn encode_links(&self) -> Vec<u8> {
         let mut writer = Writer::new(LINKS);
         writer.numbers(self.links.iter().map(|link| link.receiver));
@@ -140,7 +140,7 @@ impl Underway {
         writer.finish()
     }
 
-    /// All else as bytes: how elements are cut, and their light.
+    /// Encodes everything else: the splits of the elements, and their light.
     pub fn encode_elements(&self) -> Vec<u8> {
         let mut writer = Writer::new(ELEMENTS);
         let Report { lamp_links, refused, rays, iterations, residual, row_sum, bounded, checked, corrected, .. } =
@@ -164,7 +164,7 @@ impl Underway {
         writer.rows(&of.iter().map(brightness).collect::<Vec<_>>());
         writer.rows(taken);
         writer.rows(&more.iter().map(flat::<4, 12>).collect::<Vec<_>>());
-        // Wide elements have their light by direction, others at their nodes.
+        // Wide elements store their light by direction, others at their nodes.
         let elements = || self.arena.elements.iter().zip(of);
         let own = |kind: usize| -> Vec<[f32; 12]> {
             elements().filter(|(element, _)| !element.is_wide()).map(|(_, light)| flat(&light.own[kind])).collect()
@@ -181,8 +181,8 @@ impl Underway {
         writer.finish()
     }
 
-    /// Reads what [`Underway::encode_elements`] and [`Underway::encode_links`] have written, of the same world.
-    /// - errors: they are damaged, or of different worlds.
+    /// Decodes the output of [`Underway::encode_elements`] and [`Underway::encode_links`], for the same world.
+    /// - errors: the bytes are damaged, or belong to different worlds.
     pub fn decode(prepared: &Prepared, elements: &[u8], links: &[u8]) -> Result<Self, Damaged> {
         let scene = Scene::new(prepared);
         let mut reader = Reader::new(elements, ELEMENTS)?;
@@ -277,7 +277,7 @@ fn read_links(arena: &Arena, bytes: &[u8]) -> Result<Vec<Link>, Damaged> {
     Ok(links.collect())
 }
 
-/// Tells links from others.
+/// Computes a digest that distinguishes links.
 fn mark(links: &[Link]) -> u64 {
     let of = |link: &Link| u64::from(link.receiver) << 32 | u64::from(link.source);
     links.iter().fold(links.len() as u64, |mark, link| mix64(mark ^ of(link)))
@@ -286,14 +286,14 @@ fn mark(links: &[Link]) -> u64 {
 const OTHERS: Damaged = Damaged("it is of other elements");
 
 impl Aimed {
-    /// Casts the rays of one of so many blocks.
+    /// Casts the rays of block `block` of `blocks` blocks.
     pub fn cast(&self, prepared: &Prepared, block: u32, blocks: u32) -> Sights {
         let scene = Scene::new(prepared);
         self.casting.cast(&scene, &self.underway.arena, &self.aims, self.casting.part(block, blocks))
     }
 
-    /// Takes in what the rays of all blocks, in order, have found.
-    /// - returns `None` if they are those of other elements;
+    /// Applies the results of the rays of all blocks, in order.
+    /// - returns `None` if they belong to other elements;
     /// - errors: `cancel` was set.
     pub fn settle(
         &self,
@@ -308,7 +308,7 @@ impl Aimed {
     }
 }
 
-/// Takes in what all rays have found.
+/// Applies the results of all rays.
 fn take_in(
     underway: Underway,
     casting: Casting,
@@ -333,25 +333,25 @@ impl Settled {
         Self { underway, rays, groups: OnceLock::new() }
     }
 
-    /// What is known after that.
+    /// Returns the state after that.
     pub fn underway(&self) -> &Underway {
         &self.underway
     }
 
-    /// Where the light of one of so many blocks of groups of leaves comes from.
+    /// Computes the guides of block `block` of `blocks` blocks of groups of leaves.
     pub fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> Found {
         let scene = Scene::new(prepared);
         let Underway { arena, lights, links, portals, .. } = &self.underway;
         let Groups { groups, first } = self.groups.get_or_init(|| self.groups());
         let groups = &groups[part(first, block, blocks)];
-        // What guides paths at the end guides rays before.
+        // The guides serve rays first, and paths at the end.
         let purpose = if self.underway.is_settled() { Purpose::Paths } else { Purpose::Rays };
         let found = incoming::of_groups(&scene, arena, lights, (links, &self.rays), groups, portals, purpose);
         let groups = groups.iter().map(|(_, leaves)| leaves.clone()).collect();
         Found { groups, found }
     }
 
-    /// Finds what all blocks of groups of leaves are to know of: the portals of the scene.
+    /// Finds the portals of the scene, which all blocks of groups of leaves need.
     fn seek_portals(&mut self, scene: &Scene<'_>) {
         let Underway { arena, lights, .. } = &self.underway;
         let portals = incoming::portals(scene, arena, lights, &self.rays, &leaves(arena));
@@ -382,7 +382,7 @@ fn joined(found: Vec<Found>, leaves: &[u32]) -> (Vec<Guide>, Vec<Lobe>) {
 }
 
 impl Found {
-    /// Its bytes.
+    /// Encodes the guides.
     pub fn encode(&self) -> Vec<u8> {
         let mut writer = Writer::new(FOUND);
         writer.numbers(self.groups.iter().map(|leaves| leaves.len() as u32));
@@ -398,8 +398,8 @@ impl Found {
         writer.finish()
     }
 
-    /// Reads it.
-    /// - errors: the bytes are not what [`Found::encode`] writes.
+    /// Decodes guides.
+    /// - errors: the bytes are not the output of [`Found::encode`].
     pub fn decode(bytes: &[u8]) -> Result<Self, Damaged> {
         let mut reader = Reader::new(bytes, FOUND)?;
         let (sizes, mut leaves, counts) = (reader.numbers()?, reader.numbers()?, reader.numbers()?);

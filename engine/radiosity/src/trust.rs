@@ -1,40 +1,41 @@
-//! Verdict on a solution: light has come to rest, and surfaces keep no more of it than light sources send.
+//! Verification of a solution: the light has converged, and surfaces do not absorb more than light sources send.
 //!
-//! Both are necessary and can be seen in the solution itself; neither says that the light is where it should be. A solution that
-//! fails either is no basis for pictures, and none for decisions of path tracing: what it says of one place is as wrong as the whole.
+//! Both conditions are necessary and can be checked on the solution itself. Neither proves that the light is in the right places. A
+//! solution that fails either check must not be used for pictures or for decisions of path tracing: its local values are as wrong
+//! as its total.
 
 use crate::look::{Look, Summary};
 use crate::solve::{RESIDUAL, Report, Solution};
 use femc_prepared::Prepared;
 
-/// Flux that surfaces may keep over the flux that is sent. Links are approximate: sound solutions of closed rooms, in fog and for
-/// guides above all, keep up to a tenth more than is sent (docs/first-pass.md).
+/// Maximum ratio of the absorbed flux to the flux that is sent. Links are approximate: valid solutions of closed rooms, especially
+/// in fog and for guides, absorb up to a tenth more than is sent (docs/first-pass.md).
 const MOST_KEPT: f64 = 1.25;
-/// Light that further iterations may bring, as a share of all light. Where surfaces take hardly any light, iterations end with
-/// some of it still on its way.
+/// Maximum light that further iterations may add, as a share of all light. If surfaces absorb very little, iterations end with some
+/// light not yet absorbed.
 const MOST_LEFT: f32 = 0.05;
 
 /// Reason why a solution cannot be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Untrusted {
-    /// Light does not come to rest.
+    /// The light does not converge.
     #[error("its light does not come to rest: after {iterations} iterations the residual is {residual}")]
     Restless {
         /// Number of iterations.
         iterations: usize,
-        /// Light that further iterations would bring, as a share of all light; NaN where it has grown beyond all numbers.
+        /// Light that further iterations would add, as a share of all light; NaN if it has grown without bound.
         residual: f32,
     },
-    /// Surfaces keep more light than is sent.
+    /// Surfaces absorb more light than is sent.
     #[error("surfaces keep {ratio:.4} times the light that lamps send")]
     Gains {
-        /// Flux that surfaces absorb over the flux of all light sources.
+        /// Flux that surfaces absorb, divided by the flux of all light sources.
         ratio: f64,
     },
 }
 
 impl Solution {
-    /// Checks that the light has come to rest and that surfaces keep no more than is sent.
+    /// Checks that the light has converged, and that surfaces absorb no more than is sent.
     /// - `prepared`: the frame that was solved.
     /// - errors: [`Untrusted`]; a picture of the solution would be wrong.
     pub fn verify(&self, prepared: &Prepared) -> Result<(), Untrusted> {
@@ -46,7 +47,7 @@ impl Report {
     /// Checks the solution with its light, see [`Solution::verify`].
     pub fn verify(&self, light: &Summary) -> Result<(), Untrusted> {
         let Self { iterations, residual, bounded, .. } = *self;
-        // Light that grew, was bounded, and goes on changing has no state to come to rest in.
+        // Light that grew, was bounded, and still changes cannot converge.
         let most = if bounded { RESIDUAL } else { MOST_LEFT };
         if !residual.is_finite() || residual > most {
             return Err(Untrusted::Restless { iterations, residual });

@@ -1,4 +1,4 @@
-//! What is between two elements: rays between keyed points of theirs.
+//! Visibility between two elements: rays between pseudo-random points of them.
 
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
@@ -11,17 +11,17 @@ use femc_math::glam::{Vec2, Vec3A};
 use femc_math::hash::{combine, unit_f32};
 use femc_prepared::media::{Inside, MediaRay};
 
-/// Clear surfaces that a ray goes through at most.
+/// Maximum number of clear surfaces that a ray passes through.
 pub const CLEAR: u32 = 64;
 
-/// Rays and their buffers, of one thread.
+/// Visibility tester of one thread: rays and their buffers.
 #[derive(Default)]
 pub struct Eye {
     pub media: MediaRay,
     pub rays: u64,
 }
 
-/// Numbers in [0, 1) by a key.
+/// Generator of numbers in [0, 1) from a key.
 pub struct Numbers(u64, u64);
 
 impl Numbers {
@@ -36,14 +36,14 @@ impl Numbers {
 }
 
 impl Eye {
-    /// Share of light, by luminance, that gets from one point to another: 0 behind something opaque, and what clear surfaces and fog
-    /// leave of it. Zero normals: points in space.
+    /// Returns the share of light, by luminance, that travels from one point to another: 0 behind something opaque, else attenuated
+    /// by clear surfaces and fog. Zero normals: points in space.
     pub fn through(&mut self, scene: &Scene<'_>, from: &SurfaceSpot, to: &SurfaceSpot) -> f32 {
         let seen = self.seen(scene, from, to);
         if seen > 0.0 { seen * self.fog(scene, from.position, to.position) } else { 0.0 }
     }
 
-    /// The same without the fog.
+    /// Returns the share of light without the attenuation by fog.
     pub fn seen(&mut self, scene: &Scene<'_>, from: &SurfaceSpot, to: &SurfaceSpot) -> f32 {
         let prepared = scene.prepared;
         let end = (to.position, to.error, to.normal);
@@ -69,7 +69,7 @@ impl Eye {
         share
     }
 
-    /// Transmittance of the fog alone between two points.
+    /// Returns the transmittance of only the fog between two points.
     pub fn fog(&mut self, scene: &Scene<'_>, from: Vec3A, to: Vec3A) -> f32 {
         let (media, way) = (&scene.prepared.media, to - from);
         let length = way.length();
@@ -85,8 +85,8 @@ impl Eye {
     }
 }
 
-/// A point of an element, by numbers in [0, 1); stratum `part` of four.
-/// - `weight`: how much more often a part of a cluster, or of fog, is taken than its size says.
+/// Returns a point of an element from numbers in [0, 1), in stratum `part` of four.
+/// - `weight`: factor of the probability of a part, relative to its size.
 pub fn spot(
     arena: &Arena,
     scene: &Scene<'_>,
@@ -101,7 +101,7 @@ pub fn spot(
         let [a, b] = children.map(|child| &arena.elements[child as usize]);
         let [wa, wb] = [(a, children[0]), (b, children[1])].map(|(part, index)| part.size * weight(index));
         let share = if wa + wb > 0.0 { wa / (wa + wb) } else { a.size / (a.size + b.size) };
-        // Strata are worth more than a choice between parts that are nearly alike.
+        // Strata are worth more than a choice between nearly equal parts.
         let even = a.size / (a.size + b.size);
         if element.kind == Kind::Patch && (share - even).abs() < 0.2 {
             break;

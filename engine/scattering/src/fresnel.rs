@@ -1,9 +1,9 @@
-//! Fresnel reflectance of unpolarised light.
+//! Fresnel reflectance of unpolarized light.
 
-/// The factor on a specular lobe.
+/// Factor on a specular lobe.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Fresnel {
-    /// 1 for every angle: materials without an index of refraction.
+    /// Factor 1 for every angle: materials without an index of refraction.
     #[default]
     Unit,
     /// A dielectric with relative index `eta` (other side over this side).
@@ -21,7 +21,7 @@ pub enum Fresnel {
 }
 
 impl Fresnel {
-    /// Reflectance, in [0, 1], at an angle of incidence whose cosine is `cos` in [0, 1].
+    /// Returns the reflectance, in [0, 1], at an angle of incidence with cosine `cos` in [0, 1].
     #[inline]
     pub fn eval(self, cos: f32) -> f32 {
         match self {
@@ -31,10 +31,10 @@ impl Fresnel {
         }
     }
 
-    /// Cosine-weighted mean over the hemisphere, `2 int F(c) c dc`, by 512 midpoints in `c^2` (error below 1e-4).
+    /// Returns the cosine-weighted mean over the hemisphere, `2 int F(c) c dc`, by 512 midpoints in `c^2` (error below 1e-4).
     ///
-    /// The mean on the denser side of a dielectric follows from that on the other side, `1 - F = eta^2 (1 - F')`: its cone of
-    /// refraction can be narrower than the distance of two midpoints.
+    /// The mean on the denser side of a dielectric follows from that on the other side, `1 - F = eta^2 (1 - F')`, because its cone
+    /// of refraction can be narrower than the distance of two midpoints.
     pub fn mean(self) -> f32 {
         const N: u32 = 512;
         if let Self::Dielectric { eta } = self
@@ -46,7 +46,7 @@ impl Fresnel {
         (sum / f64::from(N)) as f32
     }
 
-    /// `1 - mean()`, without the rounding of that difference for small indices.
+    /// Returns `1 - mean()` without the rounding error of that difference for small indices.
     pub fn transmitted_mean(self) -> f32 {
         match self {
             Self::Dielectric { eta } if eta < 1.0 => eta * eta * (1.0 - Self::Dielectric { eta: 1.0 / eta }.mean()),
@@ -55,7 +55,7 @@ impl Fresnel {
     }
 }
 
-/// What a smooth dielectric interface does at one angle.
+/// Reflectance and refraction of a smooth dielectric interface at one angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interface {
     /// Reflectance; 1 beyond the critical angle.
@@ -64,7 +64,8 @@ pub struct Interface {
     pub cos_transmitted: f32,
 }
 
-/// Exact Fresnel equations for relative index `eta` (other side over the side of incidence) and cosine `cos` in [0, 1].
+/// Computes the exact Fresnel equations for relative index `eta` (other side over the side of incidence) and cosine `cos` in [0,
+/// 1].
 #[inline]
 pub fn dielectric(cos: f32, eta: f32) -> Interface {
     let sin2_transmitted = (1.0 - cos) * (1.0 + cos) / (eta * eta);
@@ -77,7 +78,7 @@ pub fn dielectric(cos: f32, eta: f32) -> Interface {
     Interface { reflectance: (0.5 * (s * s + p * p)).min(1.0), cos_transmitted }
 }
 
-/// Exact Fresnel equations for the complex relative index `eta + i k` and cosine `cos` in [0, 1].
+/// Computes the exact Fresnel equations for the complex relative index `eta + i k` and cosine `cos` in [0, 1].
 #[inline]
 pub fn conductor(cos: f32, eta: f32, k: f32) -> f32 {
     let cos2 = cos * cos;
@@ -102,7 +103,7 @@ mod tests {
     fn dielectric_reflectance_has_the_textbook_values() {
         assert!((dielectric(1.0, 1.5).reflectance - 0.04).abs() < 1e-6);
         assert!((dielectric(0.0, 1.5).reflectance - 1.0).abs() < 1e-6);
-        // Brewster's angle: the parallel part vanishes, what is left is half the squared perpendicular part.
+        // At Brewster's angle the parallel part vanishes. Half the squared perpendicular part is left.
         let cos = 1.0 / (1.0f32 + 1.5 * 1.5).sqrt();
         let s = (1.0f32 - 1.5 * 1.5) / (1.0 + 1.5 * 1.5);
         assert!((dielectric(cos, 1.5).reflectance - 0.5 * s * s).abs() < 1e-6);

@@ -1,16 +1,17 @@
 //! GGX microfacets with height-correlated Smith shadowing (\[walter2007\], \[heitz2014\]).
 //!
-//! All directions are on the upper side (z > 0): callers flip. `alpha` is the roughness, > 0. Normals are sampled among
-//! the VISIBLE ones (\[heitz2018\]) by spherical caps (\[dupuy2023\]); single scattering only, so rough lobes lose energy.
+//! All directions are on the upper side (z > 0); callers flip them. `alpha` is the roughness, > 0. Normals are sampled among the
+//! VISIBLE ones (\[heitz2018\]) by spherical caps (\[dupuy2023\]). There is only single scattering, so rough lobes lose energy.
 
 use femc_math::elementary::sin_cos;
 use femc_math::glam::Vec3A;
 use std::f32::consts::{PI, TAU};
 
-/// Roughness at and below which a lobe is treated as perfectly specular: narrower than `f32` directions resolve.
+/// Roughness up to which a lobe is treated as perfectly specular: it is narrower than `f32` directions resolve.
 pub const SMOOTH_ALPHA: f32 = 1e-4;
 
-/// Density of microfacet normals, `D(h)` in 1/sr; `int D(h) h.z dh = 1`. From the slopes, so that it is exact near the pole.
+/// Returns the density of microfacet normals, `D(h)` in 1/sr; `int D(h) h.z dh = 1`. It uses the slopes, so it is exact near the
+/// pole.
 #[inline]
 pub fn normal_distribution(h: Vec3A, alpha: f32) -> f32 {
     let alpha2 = alpha * alpha;
@@ -18,37 +19,38 @@ pub fn normal_distribution(h: Vec3A, alpha: f32) -> f32 {
     alpha2 / (PI * t * t)
 }
 
-/// `cos (1 + 2 Lambda)` of a direction with cosine `cos` > 0: the only form of Smith's Lambda that stays finite at grazing angles.
+/// Returns `cos (1 + 2 Lambda)` of a direction with cosine `cos` > 0, the only form of Smith's Lambda that stays finite at grazing
+/// angles.
 #[inline]
 pub fn smith_root(cos: f32, alpha: f32) -> f32 {
     let alpha2 = alpha * alpha;
     (alpha2 + (1.0 - alpha2) * cos * cos).sqrt()
 }
 
-/// Height-correlated `G2 / (4 cos_o cos_i)`.
+/// Returns the height-correlated `G2 / (4 cos_o cos_i)`.
 #[inline]
 pub fn visibility(cos_o: f32, cos_i: f32, alpha: f32) -> f32 {
     0.5 / (cos_i * smith_root(cos_o, alpha) + cos_o * smith_root(cos_i, alpha))
 }
 
-/// `G1(o) / (4 cos_o)`: with `D` the density of reflected directions from visible normals.
+/// Returns `G1(o) / (4 cos_o)`: times `D`, it is the density of reflected directions from visible normals.
 #[inline]
 pub fn masking_density(cos_o: f32, alpha: f32) -> f32 {
     0.5 / (cos_o + smith_root(cos_o, alpha))
 }
 
-/// `G2 / G1(o)`, in [0, 1].
+/// Returns `G2 / G1(o)`, in [0, 1].
 #[inline]
 pub fn shadowing_given_masking(cos_o: f32, cos_i: f32, alpha: f32) -> f32 {
     let (root_o, root_i) = (smith_root(cos_o, alpha), smith_root(cos_i, alpha));
     cos_i * (cos_o + root_o) / (cos_i * root_o + cos_o * root_i)
 }
 
-/// A microfacet normal visible from `wo` (z > 0); density `G1 D max(0, wo.h) / wo.z`.
+/// Samples a microfacet normal visible from `wo` (z > 0) with density `G1 D max(0, wo.h) / wo.z`.
 #[inline]
 pub fn sample_visible_normal(wo: Vec3A, alpha: f32, u: [f32; 2]) -> Vec3A {
     let stretched = Vec3A::new(wo.x * alpha, wo.y * alpha, wo.z).normalize();
-    // A point of the cap of reflected directions, z in (-stretched.z, 1]; the half vector's z is formed without cancellation.
+    // A point of the cap of reflected directions, z in (-stretched.z, 1]. The half vector's z is computed without cancellation.
     let half_z = (1.0 - u[1]) * (1.0 + stretched.z);
     let z = half_z - stretched.z;
     let r = ((1.0 - z) * (1.0 + z)).max(0.0).sqrt();
@@ -56,13 +58,13 @@ pub fn sample_visible_normal(wo: Vec3A, alpha: f32, u: [f32; 2]) -> Vec3A {
     Vec3A::new((r * cos + stretched.x) * alpha, (r * sin + stretched.y) * alpha, half_z).normalize()
 }
 
-/// Mirror image of `w` about `axis` (unit).
+/// Returns the mirror image of `w` about `axis` (unit).
 #[inline]
 pub fn reflect(w: Vec3A, axis: Vec3A) -> Vec3A {
     axis * (2.0 * w.dot(axis)) - w
 }
 
-/// The reflection lobe: `D G2 / (4 cos_o)` (that is f |cos_i|, no Fresnel factor) and its density, both for z > 0.
+/// Returns the reflection lobe `D G2 / (4 cos_o)` (f |cos_i| without the Fresnel factor) and its density, both for z > 0.
 #[inline]
 pub fn reflection(wo: Vec3A, wi: Vec3A, alpha: f32) -> Lobe {
     let h = (wo + wi).normalize_or(Vec3A::Z);

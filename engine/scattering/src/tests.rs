@@ -1,4 +1,4 @@
-//! Laws that every member obeys. Random numbers are hashes of fixed keys; levels are divided by the number of tests.
+//! Tests of the laws that every member obeys. Random numbers are hashes of fixed keys. Levels are divided by the number of tests.
 
 use crate::fresnel::dielectric;
 use crate::{Bsdf, LobeKind, MaterialParameters, Phase, Sides, Transmitted};
@@ -13,7 +13,7 @@ mod energy;
 /// Chance of a false alarm of one whole test function.
 const LEVEL: f64 = 1e-3;
 
-/// Uniform in [0, 1), from a key.
+/// Returns a uniform number in [0, 1) from a key.
 fn uniform(key: &[u64]) -> f32 {
     unit_f32((combine(key) >> 32) as u32)
 }
@@ -26,7 +26,7 @@ fn grey(x: f32) -> Rgb {
     Rgb::splat(x)
 }
 
-/// Every member, at several roughnesses, with colours that differ by channel; the index of the inside.
+/// Returns every member, at several roughnesses, with colors that differ by channel, and the index of the inside.
 fn members() -> Vec<(String, Bsdf, f32)> {
     let p = MaterialParameters::default();
     let warm = Rgb::new(0.5, 0.4, 0.2);
@@ -80,7 +80,7 @@ fn members() -> Vec<(String, Bsdf, f32)> {
     list.into_iter().map(|(name, p, n)| (name, Bsdf::from_parameters(&p), n)).collect()
 }
 
-/// Viewing directions on both sides, from the pole to grazing.
+/// Returns viewing directions on both sides, from the pole to grazing.
 fn views() -> Vec<Vec3A> {
     [1.0f32, 0.7, 0.25, 0.03].into_iter().flat_map(|c| [warp::direction(c, 0.13), -warp::direction(c, 0.4)]).collect()
 }
@@ -131,11 +131,11 @@ fn samples_follow_the_density() {
         .collect();
     let level = sidak(LEVEL, cases.len());
     for (k, (name, bsdf, wo)) in cases.iter().enumerate() {
-        // Narrow lobes: the pole of the cells at the mirror direction, so that they peak at the border of a row of cells. Else
-        // the pole at the normal, so that the horizon is a border.
+        // For narrow lobes, the pole of the cells is at the mirror direction, so that the peak is at the border of a row of cells.
+        // Otherwise the pole is at the normal, so that the horizon is a border.
         let narrow = name.ends_with("0.02");
         if narrow && wo.z.abs() < 0.1 {
-            continue; // The lobe is cut by the horizon where neither choice has a border.
+            continue; // The horizon cuts the lobe where neither choice has a border.
         }
         let frame = Frame::from_normal(if narrow { Vec3A::new(-wo.x, -wo.y, wo.z) } else { Vec3A::Z });
         let world = |d: [f64; 3]| frame.to_world(Vec3A::new(d[0] as f32, d[1] as f32, d[2] as f32)).normalize();
@@ -151,7 +151,7 @@ fn samples_follow_the_density() {
             40_000,
         );
         if dielectric(wo.z.abs(), 1.0 / 1.5).reflectance == 1.0 && result.integral == 0.0 {
-            // Total reflection of smooth glass leaves nothing for other lobes, and nothing came.
+            // Total reflection of smooth glass leaves nothing for other lobes, and no sample came from them.
             assert_eq!(result.stray, 0, "{name}, wo {wo}");
             continue;
         }
@@ -194,12 +194,12 @@ impl Bsdf {
 fn reciprocity_holds() {
     for (k, (name, bsdf, n)) in members().into_iter().enumerate() {
         if name.starts_with("one-sided") {
-            continue; // The front scatters what the back, which does not exist, cannot send.
+            continue; // The front scatters light that the back, which does not exist, cannot send.
         }
         let mut seen = 0;
         for i in 0..4000 {
             let wo = random_direction(2000 + k as u64, 2 * i);
-            // Half of the partners near the specular directions, where narrow lobes are not zero.
+            // Half of the partners are near the specular directions, where narrow lobes are not zero.
             let wi = match bsdf.sample(wo, uniform_pair(k as u64, i), uniform(&[k as u64, i, 4])) {
                 Some(s) if s.lobe == LobeKind::Glossy => s.wi,
                 _ => random_direction(2000 + k as u64, 2 * i + 1),
@@ -218,8 +218,8 @@ fn reciprocity_holds() {
     }
 }
 
-/// Mean weight of `n^3` stratified samples with the square of the index taken out: the directional albedo, and its standard
-/// error at most.
+/// Returns the mean weight of `n^3` stratified samples with the square of the index removed, which is the directional albedo, and
+/// an upper bound of its standard error.
 fn furnace(bsdf: &Bsdf, wo: Vec3A, key: u64, n: u64) -> (Rgb, f32) {
     let (mut sum, mut sum2) = (DVec3::ZERO, 0.0f64);
     for i in 0..n * n * n {
@@ -242,7 +242,7 @@ fn no_member_creates_energy() {
         for wo in views() {
             let (albedo, error) = furnace(&bsdf, wo, 3000 + k as u64, 16);
             assert!(albedo.max_element() <= 1.0 + 3.0 * error, "{name} {wo}: {albedo} +- {error}");
-            // The reported albedo leaves out the loss of single scattering: it is an upper bound, and near for smooth members.
+            // The reported albedo ignores the loss of single scattering. It is an upper bound, and close for smooth members.
             let reported = bsdf.albedo(wo);
             let rough = name.ends_with("0.4") || name.ends_with(" 1") || (bsdf.is_bent() && !bsdf.has_delta());
             let tolerance = if name.ends_with(|c: char| c.is_ascii_digit()) { 0.05 } else { 2e-3 };
@@ -292,7 +292,7 @@ fn the_diffuse_part_gets_what_the_specular_part_leaves() {
 
 #[test]
 fn the_plain_model_is_the_textbook_formula() {
-    // f cos = rd cos / pi + rs D G2 / (4 cos_o), in double precision and by the usual forms of D and Lambda.
+    // f cos = rd cos / pi + rs D G2 / (4 cos_o), in double precision and with the usual forms of D and Lambda.
     let (rd, rs, alpha) = (0.25f64, 0.6f64, 0.15f64);
     let bsdf = Bsdf::from_parameters(&MaterialParameters {
         rd: grey(rd as f32),
@@ -453,7 +453,7 @@ fn phase_samples_follow_the_phase_function_and_keep_its_mean_cosine() {
 
 #[test]
 fn positive_parameters_scatter_forward_along_the_propagation() {
-    let wo = Vec3A::Z; // The ray came along -z; straight on is wi = -z.
+    let wo = Vec3A::Z; // The ray came along -z; straight through is wi = -z.
     for phase in [Phase::HenyeyGreenstein { g: 0.7 }, Phase::Schlick { k: 0.7 }] {
         assert!(phase.eval(wo, -Vec3A::Z) > 10.0 * phase.eval(wo, Vec3A::Z));
     }

@@ -1,10 +1,10 @@
-//! Integrals over a stretch of even fog: what is sent at places of the stretch, linear from its beginning to its end, as it arrives at
-//! the beginning. All in units of the stretch's length.
+//! Integrals over a stretch of homogeneous fog: the light sent along the stretch, linear from its start to its end, as it arrives
+//! at the start. All values are in units of the stretch's length.
 
 use femc_math::elementary::double::{exp, exp_m1, ln_1p};
 
-/// Optical depth below which a series is taken, whose error is below 1e-9: the functions cost five times as much, and where the
-/// depth is small their differences have no digits.
+/// Optical depth below which a series is used, with an error below 1e-9. The functions cost five times as much, and for small
+/// depths their differences have no digits.
 const THIN: f64 = 0.5;
 
 /// One over (n + 2)!.
@@ -20,23 +20,23 @@ const SERIES: [f64; 9] = [
     1.0 / 3_628_800.0,
 ];
 
-/// What a stretch sends.
+/// Light sent by a stretch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sent {
-    /// At its beginning.
+    /// At its start.
     pub from: f64,
     /// At its end.
     pub to: f64,
 }
 
-/// Weights of what is sent at the beginning and at the end, and what the stretch lets through: the integrals over s in [0, 1] of
-/// exp(-depth s) (1 - s) and of exp(-depth s) s, and exp(-depth).
+/// Returns the weights of the light sent at the start and at the end, and the transmittance of the stretch: the integrals over s in
+/// [0, 1] of exp(-depth s) (1 - s) and of exp(-depth s) s, and exp(-depth).
 /// - `depth`: optical depth of the stretch, >= 0.
 #[inline]
 pub(super) fn weights(depth: f64) -> ([f64; 2], f64) {
     let x = depth;
     if x < THIN {
-        // In pairs, which need not wait for each other.
+        // In pairs, which do not depend on each other.
         let s = &SERIES;
         let (x2, pair) = (x * x, |k: usize| s[k] - s[k + 1] * x);
         let x4 = x2 * x2;
@@ -50,7 +50,7 @@ pub(super) fn weights(depth: f64) -> ([f64; 2], f64) {
     ([first, all - first], through)
 }
 
-/// What arrives of the stretch's first part, as a share of its length.
+/// Returns the light that arrives from the first part of the stretch, as a share of its length.
 /// - `upto`: end of the part, in [0, 1].
 pub(super) fn part(depth: f64, sent: Sent, upto: f64) -> f64 {
     let there = sent.from + (sent.to - sent.from) * upto;
@@ -58,18 +58,19 @@ pub(super) fn part(depth: f64, sent: Sent, upto: f64) -> f64 {
     upto * (sent.from * first + there * second)
 }
 
-/// What arrives of a place, per share of the length.
+/// Returns the light that arrives from a position, per share of the length.
 #[inline]
 pub(super) fn density(depth: f64, sent: Sent, at: f64) -> f64 {
     exp(-depth * at) * (sent.from + (sent.to - sent.from) * at)
 }
 
-/// Most steps of [`invert`]: bisection alone would need as many.
+/// Maximum number of steps of [`invert`]; bisection alone would need the same number.
 const STEPS: u32 = 60;
-/// Greatest last step, as a share of the place.
+/// Maximum last step, relative to the position.
 const EXACT: f64 = 1e-9;
 
-/// The place up to which the channels' [`part`]s sum up to `wanted`, in [0, 1]: Newton's steps, and bisection where these lead away.
+/// Returns the position in [0, 1] up to which the channels' [`part`]s sum to `wanted`. It uses Newton's steps, and bisection where
+/// these lead away.
 /// - `whole`: the sum up to 1, > 0.
 pub(super) fn invert(channels: &[(f64, Sent)], wanted: f64, whole: f64) -> f64 {
     let sum =
@@ -87,7 +88,7 @@ pub(super) fn invert(channels: &[(f64, Sent)], wanted: f64, whole: f64) -> f64 {
         let step = error / sum(density, at);
         let next = at - step;
         let next = if next > low && next < high { next } else { 0.5 * (low + high) };
-        // What is left after Newton's step is as the square of the step.
+        // The error after Newton's step is of the order of the squared step.
         if (next - at).abs() <= EXACT.sqrt() * at && next == at - step || (next - at).abs() <= EXACT * at {
             return next;
         }
@@ -96,14 +97,14 @@ pub(super) fn invert(channels: &[(f64, Sent)], wanted: f64, whole: f64) -> f64 {
     at
 }
 
-/// Where the share would be if the fog let all through, or if the same were sent everywhere.
+/// Returns the solution for a transmittance of 1, or for a constant light along the stretch.
 fn first_guess(channels: &[(f64, Sent)], share: f64) -> f64 {
     let least = channels.iter().map(|(depth, _)| *depth).fold(f64::INFINITY, f64::min);
     if least > THIN {
         return (-ln_1p(share * exp_m1(-least)) / least).clamp(0.0, 1.0);
     }
     let (from, to) = channels.iter().fold((0.0, 0.0), |(from, to), (depth, sent)| {
-        // As at the end of a line through the two values that the stretch lets through.
+        // As at the end of a line through the two values, attenuated by the stretch.
         (from + sent.from, to + sent.to * (1.0 - depth + 0.5 * depth * depth))
     });
     let root = (from * from + (to - from) * (to + from) * share).max(0.0).sqrt();

@@ -1,4 +1,4 @@
-//! What fog sends along a line, leaf by leaf.
+//! Light that fog sends along a line, leaf by leaf.
 
 use super::integral::{Sent, density, invert, weights};
 use super::tree::{FogTree, Kind, Placed};
@@ -9,25 +9,25 @@ use femc_math::glam::{DVec3, Vec3A};
 /// A stretch of a line in one leaf.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
-    /// Distance of its beginning from the line's origin, m.
+    /// Distance of its start from the line's origin, m.
     start: f64,
-    /// Luminance that arrives at the line's beginning of this piece and of all before it, cd/m2.
+    /// Luminance that arrives at the line's start from this piece and all pieces before it, cd/m2.
     upto: f64,
     length: f32,
     /// Optical depth.
     depth: f32,
-    /// What is sent per m at its beginning and its end, by luminance, as far as the pieces before let it through.
+    /// Luminance sent per m at its start and its end, attenuated by the pieces before.
     sent: [f32; 2],
 }
 
-/// Of a piece behind which fog has color: optical depth and what is sent, by channel.
+/// Optical depth and light sent by channel, for a piece from which on the fog has color.
 #[derive(Clone, Copy, Debug)]
 struct Channels {
     depth: [f32; 3],
     sent: [[f32; 2]; 3],
 }
 
-/// A place on a line.
+/// A point on a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinePoint {
     /// Distance from the line's origin, m.
@@ -36,43 +36,43 @@ pub struct LinePoint {
     pub pdf: f32,
 }
 
-/// What fog sends along a line: light that it scatters toward the line's beginning, but for what it scatters straight from light sources,
-/// as if it scattered to all sides alike. See [`FogTree::line`].
+/// Light that fog sends along a line: the light that it scatters toward the line's start, without direct light from light sources,
+/// with isotropic scattering. See [`FogTree::line`].
 #[derive(Clone, Debug, Default)]
 pub struct Line {
     pieces: Vec<Piece>,
-    /// Of the last pieces, where fog has color: as many as there are.
+    /// Channels of the last pieces, from the first one with colored fog on.
     colored: Vec<Channels>,
-    /// Boxes that are not walked yet: the node, and the distance at which the line leaves it.
+    /// Boxes that are not visited yet: the node, and the distance at which the line leaves it.
     pending: Vec<(u32, f64)>,
     total: Rgb,
     through: Rgb,
 }
 
 impl Line {
-    /// Radiance that arrives at the line's beginning, cd/m2.
+    /// Returns the radiance that arrives at the line's start, cd/m2.
     pub fn total(&self) -> Rgb {
         self.total
     }
 
-    /// Its luminance, cd/m2.
+    /// Returns the luminance that arrives at the line's start, cd/m2.
     pub fn luminance(&self) -> f32 {
         self.pieces.last().map_or(0.0, |piece| piece.upto) as f32
     }
 
-    /// Number of boxes that it goes through.
+    /// Returns the number of boxes that it goes through.
     pub fn leaves(&self) -> usize {
         self.pieces.len()
     }
 
-    /// Share of the light that gets from the line's end to its beginning through the fog of the boxes.
+    /// Returns the transmittance from the line's end to its start through the fog of the boxes.
     pub fn transmittance(&self) -> Rgb {
         self.through
     }
 
-    /// A place where the light comes from, by luminance.
+    /// Samples a point from which light comes, by luminance.
     /// - `u`: in [0, 1);
-    /// - returns `None` where no light comes; [`Self::pdf`] is the density.
+    /// - returns `None` if no light comes; [`Self::pdf`] is the density.
     pub fn sample(&self, u: f64) -> Option<LinePoint> {
         let whole = self.pieces.last()?.upto;
         let wanted = u * whole;
@@ -86,12 +86,13 @@ impl Line {
         (pdf > 0.0).then_some(LinePoint { t, pdf })
     }
 
-    /// Density of [`Self::sample`] at a distance from the line's origin, 1/m. It integrates to 1 over the line, if light comes at all.
+    /// Returns the density of [`Self::sample`] at a distance from the line's origin, 1/m. It integrates to 1 over the line, if
+    /// there is any light.
     /// - `t`: m.
     pub fn pdf(&self, t: f32) -> f32 {
         let (Some(first), Some(last)) = (self.pieces.first(), self.pieces.last()) else { return 0.0 };
         let t = f64::from(t);
-        // Rounding may put what is drawn at an end beside it.
+        // Rounding may place a sample at an end slightly outside.
         let slack = f64::from(f32::EPSILON) * t.abs();
         let end = last.start + f64::from(last.length);
         if !(last.upto > 0.0 && t >= first.start - slack && t <= end + slack) {
@@ -105,7 +106,7 @@ impl Line {
         (value / last.upto) as f32
     }
 
-    /// Optical depth of a piece and what is sent there: of all channels together, or of each.
+    /// Returns the optical depth and the light sent of a piece: for all channels together, or for each.
     #[inline]
     fn channels(&self, index: usize) -> ([(f64, Sent); 3], usize) {
         let channel =
@@ -127,25 +128,25 @@ impl Line {
     }
 }
 
-/// What has been walked of a line.
+/// State of the walk along a line.
 struct Walk {
     origin: DVec3,
     dir: DVec3,
-    /// Share of the light that gets to the line's beginning, by channel.
+    /// Transmittance to the line's start, by channel.
     through: [f64; 3],
     total: Rgb,
     luminance: f64,
 }
 
 impl Walk {
-    /// What a leaf sends at the two ends of a stretch in it, per m.
+    /// Returns the light that a leaf sends at the two ends of a stretch in it, per m.
     #[inline]
     fn sent(&self, placed: &Placed, start: f64, length: f32) -> [Rgb; 2] {
         let [from, slope] = placed.along(self.origin + self.dir * start, self.dir);
         [from, from + slope * length].map(|mean| placed.leaf.sigma_s * mean.max(Rgb::ZERO))
     }
 
-    /// Adds the stretch of the line in a leaf, where nothing has color so far.
+    /// Adds the stretch of the line in a leaf, if all fog so far is gray.
     #[inline]
     fn add(&mut self, placed: &Placed, start: f64, end: f64, pieces: &mut Vec<Piece>) {
         let length = end - start;
@@ -167,7 +168,7 @@ impl Walk {
         });
     }
 
-    /// The same in color.
+    /// Adds the stretch of the line in a leaf, by channel.
     fn add_colored(&mut self, placed: &Placed, start: f64, end: f64, line: &mut Line) {
         let length = end - start;
         let sent = self.sent(placed, start, length as f32);
@@ -191,9 +192,11 @@ impl Walk {
 }
 
 impl FogTree {
-    /// What the fog sends along a line, as [`Line`] has it. Outside of the boxes it is as if nothing were there.
-    /// - `origin`: prepared frame, m; `dir`: unit; `t0`, `t1`: distances of the line's beginning and end from the origin, m;
-    /// - `line`: what was in it is gone. Its buffers are kept from line to line.
+    /// Computes the light that the fog sends along a line, as in [`Line`]. Outside of the boxes there is no fog.
+    /// - `origin`: prepared frame, m;
+    /// - `dir`: unit;
+    /// - `t0`, `t1`: distances of the line's start and end from the origin, m;
+    /// - `line`: result. Its old contents are lost, its buffers are reused.
     pub fn line(&self, origin: Vec3A, dir: Vec3A, t0: f32, t1: f32, line: &mut Line) {
         line.clear();
         if self.nodes.is_empty() {
@@ -250,7 +253,7 @@ impl FogTree {
         line.through = Rgb::from_array(through.map(|x| x as f32));
     }
 
-    /// The part of a line in the box that holds all; `None` if there is none.
+    /// Returns the part of a line in the bounding box; `None` if there is none.
     fn clip(&self, origin: DVec3, dir: DVec3, [mut start, mut end]: [f64; 2]) -> Option<(f64, f64)> {
         let (min, max) = (self.min.as_dvec3(), self.max.as_dvec3());
         for axis in 0..3 {
@@ -263,7 +266,7 @@ impl FogTree {
             let [a, b] = [min, max].map(|corner| (corner[axis] - origin[axis]) / dir[axis]);
             (start, end) = (start.max(a.min(b)), end.min(a.max(b)));
         }
-        // Not `>=`: what is no number has no part, either.
+        // Not `>=`: a NaN must give no part, either.
         (start < end && end.is_finite() && start.is_finite()).then_some((start, end))
     }
 }

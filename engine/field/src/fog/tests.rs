@@ -1,4 +1,4 @@
-//! The laws of light along lines, on random trees.
+//! Tests of the light along lines, on random trees.
 
 use super::{FogCell, FogLeaf, FogTree, Line};
 use femc_math::Rgb;
@@ -7,7 +7,7 @@ use femc_math::glam::{DVec3, Vec3A};
 use femc_stats::testing::{chi2::pooled_test, sidak};
 use proptest::prelude::*;
 
-/// Numbers in [0, 1) by a seed.
+/// Generator of numbers in [0, 1) from a seed.
 struct Numbers(u64);
 
 impl Numbers {
@@ -21,14 +21,14 @@ impl Numbers {
     }
 }
 
-/// What the fog of a tree is like.
+/// Kind of fog in a tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fog {
-    /// Gray, from none to 1e3 per m.
+    /// Gray fog, with an extinction from 0 to 1e3 per m.
     Gray,
-    /// The same, in color.
+    /// Colored fog, with an extinction from 0 to 1e3 per m.
     Colored,
-    /// As bright as its surroundings everywhere: the same radiance, albedo 1.
+    /// Furnace: constant radiance, albedo 1.
     Furnace,
 }
 
@@ -39,14 +39,14 @@ fn leaf(numbers: &mut Numbers, fog: Fog) -> FogLeaf {
     if fog == Fog::Furnace {
         return FogLeaf { mean: [Rgb::splat(3.0), Rgb::ZERO, Rgb::ZERO, Rgb::ZERO], sigma_s: sigma_t, sigma_t };
     }
-    // Where fog takes nothing it may all the same send.
+    // Fog without extinction may still send light.
     let sigma_s = numbers.color(1.0) * sigma_t.max(Rgb::splat(0.01));
     let slope = |numbers: &mut Numbers| numbers.color(6.0) - 3.0;
     let mean = [numbers.color(2.0), slope(numbers), slope(numbers), slope(numbers)];
     FogLeaf { mean, sigma_s, sigma_t }.limited()
 }
 
-/// A random tree in [-1, 1] x [-1, 1] x [0, 3].
+/// Creates a random tree in [-1, 1] x [-1, 1] x [0, 3].
 fn tree(seed: u64, fog: Fog) -> FogTree {
     let mut numbers = Numbers(seed);
     let bounds = [Vec3A::new(-1.0, -1.0, 0.0), Vec3A::new(1.0, 1.0, 3.0)];
@@ -56,7 +56,7 @@ fn tree(seed: u64, fog: Fog) -> FogTree {
     while let Some([min, max]) = boxes.get(cells.len()).copied() {
         if boxes.len() < most && (cells.len() < 3 || numbers.next() < 0.8) {
             let axis = (numbers.next() * 3.0) as usize;
-            // Halves, as the solver makes them, or anywhere.
+            // Halves, as in the solver, or a random position.
             let share = if numbers.next() < 0.5 { 0.5 } else { numbers.next() };
             let at = (min[axis] + (max[axis] - min[axis]) * share).clamp(min[axis], max[axis]);
             let (mut low, mut high) = (max, min);
@@ -70,7 +70,7 @@ fn tree(seed: u64, fog: Fog) -> FogTree {
     FogTree::new(bounds, &cells).expect("a tree")
 }
 
-/// A segment: anywhere, along an axis, or along the border of boxes; from within or from outside.
+/// Returns a segment: random, along an axis, or along the border of boxes; from within or from outside.
 fn segment(tree: &FogTree, seed: u64) -> (Vec3A, Vec3A, [f32; 2]) {
     let mut numbers = Numbers(seed);
     let [min, max] = tree.bounds();
@@ -86,7 +86,7 @@ fn segment(tree: &FogTree, seed: u64) -> (Vec3A, Vec3A, [f32; 2]) {
         (from, from[axis]) = (inside, from[axis]);
     }
     if kind == 3 {
-        // In the plane of a cut across another axis.
+        // In the plane of a split across another axis.
         let planes: Vec<(u8, f32)> = tree
             .cells()
             .filter_map(|cell| if let FogCell::Cut { axis, at } = cell { Some((axis, at)) } else { None })
@@ -100,7 +100,7 @@ fn segment(tree: &FogTree, seed: u64) -> (Vec3A, Vec3A, [f32; 2]) {
     (from, dir, [t0, t0 + 5.0 * numbers.next()])
 }
 
-/// The leaf at a place, and its box; by the cells alone.
+/// Returns the leaf at a point, and its box, using only the cells.
 fn find(tree: &FogTree, place: DVec3) -> Option<(FogLeaf, [DVec3; 2])> {
     let cells: Vec<FogCell> = tree.cells().collect();
     let [mut min, mut max] = tree.bounds().map(|corner| corner.as_dvec3());
@@ -131,7 +131,7 @@ const GAUSS: [(f64, f64); 5] = [
     (0.953_089_922_969_332, 0.118_463_442_528_095),
 ];
 
-/// Places of a segment between which it is in one leaf each.
+/// Returns the distances at which a segment enters another leaf.
 fn borders_of_leaves(tree: &FogTree, origin: Vec3A, dir: Vec3A, [t0, t1]: [f32; 2]) -> Vec<f64> {
     let (o, d) = (origin.as_dvec3(), dir.as_dvec3());
     let [min, max] = tree.bounds();
@@ -147,12 +147,12 @@ fn borders_of_leaves(tree: &FogTree, origin: Vec3A, dir: Vec3A, [t0, t1]: [f32; 
     places
 }
 
-/// Steps of a quadrature over a stretch: a twentieth of a free path or less.
+/// Returns the number of steps of a quadrature over a stretch: a twentieth of a free path or less each.
 fn steps(leaf: &FogLeaf, length: f64) -> u32 {
     (20.0 * f64::from(leaf.sigma_t.max_element()) * length).ceil().clamp(1.0, 2e4) as u32
 }
 
-/// What arrives by quadrature, and what gets through.
+/// Returns the arriving light and the transmittance by quadrature.
 fn quadrature(tree: &FogTree, origin: Vec3A, dir: Vec3A, range: [f32; 2]) -> ([f64; 3], [f64; 3]) {
     let (o, d) = (origin.as_dvec3(), dir.as_dvec3());
     let (mut sum, mut depth) = ([0.0; 3], [0.0f64; 3]);
@@ -235,7 +235,7 @@ proptest! {
         let (origin, dir, [t0, t1]) = segment(&tree, way);
         let mut line = Line::default();
         tree.line(origin, dir, t0, t1, &mut line);
-        // Up to the place that is drawn for u there is the share u of the light.
+        // The light up to the point sampled for u is the share u of all light.
         let mut before = t0;
         for k in 0..16 {
             let u = f64::from(k) / 16.0;
@@ -248,7 +248,7 @@ proptest! {
             before = drawn.t;
             let mut near = Line::default();
             tree.line(origin, dir, t0, drawn.t, &mut near);
-            // The place is rounded.
+            // The position is rounded.
             let slack = f64::from(drawn.pdf) * f64::from(drawn.t) * f64::from(f32::EPSILON);
             let share = f64::from(near.luminance()) / f64::from(line.luminance());
             prop_assert!((share - u).abs() <= 2e-6 + slack, "{share} {u}");
@@ -256,7 +256,7 @@ proptest! {
     }
 }
 
-/// Borders of cells with the same share of the light each, and the light up to each of them.
+/// Returns borders of cells with equal shares of the light, and the light up to each of them.
 fn borders(tree: &FogTree, line: &Line, (origin, dir, t0): (Vec3A, Vec3A, f32), cells: u32) -> (Vec<f32>, Vec<f64>) {
     let mut near = Line::default();
     (1..cells)
@@ -268,7 +268,7 @@ fn borders(tree: &FogTree, line: &Line, (origin, dir, t0): (Vec3A, Vec3A, f32), 
         .unzip()
 }
 
-/// Level of all tests together: 1e-3.
+/// The level of all tests together is 1e-3.
 #[test]
 fn distances_are_drawn_by_the_light_that_comes_from_them() {
     const LINES: u64 = 40;
@@ -282,7 +282,7 @@ fn distances_are_drawn_by_the_light_that_comes_from_them() {
         if line.luminance() == 0.0 {
             continue;
         }
-        // At even places, too, where the light's own quantiles might hide what lies between them.
+        // Equidistant points are tested, too, because the light's own quantiles might hide errors between them.
         let (mut places, mut upto) = borders(&tree, &line, (origin, dir, t0), 16);
         let mut near = Line::default();
         for step in 1..16u8 {
@@ -302,7 +302,7 @@ fn distances_are_drawn_by_the_light_that_comes_from_them() {
             counts[places.partition_point(|place| *place <= drawn.t)] += 1;
         }
         let result = pooled_test(&expected, &counts);
-        // Of light that all comes from one place there is nothing to test.
+        // Light that comes from only one place leaves nothing to test.
         assert!(result.p >= level || result.dof == 0, "line {k}: {result:?}");
     }
 }
@@ -315,7 +315,7 @@ fn the_density_integrates_to_one() {
         let (origin, dir, [t0, t1]) = segment(&tree, 2000 + k);
         let mut line = Line::default();
         tree.line(origin, dir, t0, t1, &mut line);
-        // Where a free path is no more than rounding of the distance a quadrature has nothing to stand on.
+        // If a free path is within the rounding of the distance, a quadrature is impossible.
         let thickest = tree.leaves().map(|leaf| leaf.sigma_t.max_element()).fold(0.0, f32::max);
         if line.luminance() == 0.0 || thickest > 100.0 {
             continue;

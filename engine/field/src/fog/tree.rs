@@ -1,12 +1,12 @@
-//! A tree of boxes of fog.
+//! Tree of boxes of fog.
 
 use femc_math::Rgb;
 use femc_math::glam::{DVec3, Vec3A};
 
-/// A box of fog that is not cut further.
+/// A box of fog that is not split.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FogLeaf {
-    /// Mean radiance from all around, cd/m2, without what comes straight from light sources, at the middle; and its change from one
+    /// Mean radiance from all directions, cd/m2, without direct light from light sources, at the center; and its change from one
     /// side to the other by axis.
     pub mean: [Rgb; 4],
     /// Mean scattering coefficient, 1/m.
@@ -16,8 +16,7 @@ pub struct FogLeaf {
 }
 
 impl FogLeaf {
-    /// The same with changes that are so small, by channel, that no point of the box has less than nothing. The mean over the box
-    /// stays.
+    /// Reduces the changes by channel until no point of the box has a negative value. The mean over the box does not change.
     pub fn limited(mut self) -> Self {
         let [middle, slopes @ ..] = &mut self.mean;
         *middle = middle.max(Rgb::ZERO);
@@ -31,7 +30,7 @@ impl FogLeaf {
         self
     }
 
-    /// Whether it is finite and nowhere less than nothing, but for rounding.
+    /// Checks that it is finite and nowhere negative, up to rounding.
     fn is_sound(&self) -> bool {
         let [middle, slopes @ ..] = self.mean;
         let most: Rgb = slopes.iter().map(|slope| slope.abs() * 0.5).sum();
@@ -47,25 +46,26 @@ impl FogLeaf {
 /// A box of fog.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FogCell {
-    /// One that is cut in two across an axis.
+    /// A box that is split in two across an axis.
     Cut {
-        /// 0, 1 or 2.
+        /// Axis: 0, 1 or 2.
         axis: u8,
-        /// Coordinate of the cut, prepared frame, m.
+        /// Coordinate of the split, prepared frame, m.
         at: f32,
     },
-    /// One that is not.
+    /// A box that is not split.
     Leaf(FogLeaf),
 }
 
-/// A node as it is walked: the coordinate of its cut, and index of the lower half, times 4, plus the axis; of a leaf plus 3.
+/// A node in the form for traversal: the coordinate of its split, and the index of the lower half, times 4, plus the axis; plus 3
+/// for a leaf.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Node {
     at: f32,
     next: u32,
 }
 
-/// What a node is.
+/// Kind of a node.
 pub(super) enum Kind {
     Cut { axis: usize, at: f32, low: u32 },
     Leaf(u32),
@@ -81,20 +81,20 @@ impl Node {
     }
 }
 
-/// A leaf and where it is.
+/// A leaf with its position.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placed {
     pub(super) leaf: FogLeaf,
-    /// Middle, prepared frame, m.
+    /// Center, prepared frame, m.
     center: DVec3,
-    /// One over its edges, 1/m; 0 where it has none.
+    /// One over its edges, 1/m; 0 for an edge of length 0.
     inverse: DVec3,
-    /// Whether its extinction is the same for all channels.
+    /// Whether its extinction is equal for all channels.
     pub(super) is_gray: bool,
 }
 
 impl Placed {
-    /// Mean radiance from all around at a point of the box, cd/m2.
+    /// Returns the mean radiance from all directions at a point of the box, cd/m2.
     #[inline]
     fn at(&self, point: DVec3) -> Rgb {
         let local = ((point - self.center) * self.inverse).as_vec3a();
@@ -102,7 +102,7 @@ impl Placed {
         (middle + x * local.x + y * local.y + z * local.z).max(Rgb::ZERO)
     }
 
-    /// The same, not cut off at 0, and its change per m along a direction.
+    /// Returns the mean radiance at a point, not clamped at 0, and its change per m along a direction.
     #[inline]
     pub(super) fn along(&self, point: DVec3, dir: DVec3) -> [Rgb; 2] {
         let [local, step] = [(point - self.center) * self.inverse, dir * self.inverse].map(|v| v.as_vec3a());
@@ -111,7 +111,7 @@ impl Placed {
     }
 }
 
-/// Boxes of fog within one that holds all.
+/// Boxes of fog inside one bounding box.
 #[derive(Clone, Debug, Default)]
 pub struct FogTree {
     pub(super) min: Vec3A,
@@ -121,12 +121,13 @@ pub struct FogTree {
 }
 
 impl FogTree {
-    /// Most boxes of a tree.
+    /// Maximum number of boxes of a tree.
     const MOST: usize = 1 << 29;
 
-    /// - `min`, `max`: corners of the box that holds all, prepared frame, m;
-    /// - `cells`: that box first; the halves of all that are cut follow in the order of these, lower half first.
-    /// - returns `None` where cells are no such tree, something is not finite, or light or a coefficient is negative.
+    /// Creates a tree.
+    /// - `min`, `max`: corners of the bounding box, prepared frame, m;
+    /// - `cells`: the bounding box first; the halves of all split boxes follow in the order of these, lower half first.
+    /// - returns `None` if cells do not form such a tree, something is not finite, or light or a coefficient is negative.
     pub fn new([min, max]: [Vec3A; 2], cells: &[FogCell]) -> Option<Self> {
         let cuts = cells.iter().filter(|cell| matches!(cell, FogCell::Cut { .. })).count();
         let sound = min.is_finite() && max.is_finite() && min.cmple(max).all() && cells.len() < Self::MOST;
@@ -137,7 +138,7 @@ impl FogTree {
         let mut boxes = Vec::with_capacity(cells.len());
         boxes.push([min, max]);
         for (index, cell) in cells.iter().enumerate() {
-            // Where all boxes before are leaves there is none for this one.
+            // If all boxes before are leaves, there is no box for this cell.
             let [min, max] = *boxes.get(index)?;
             match *cell {
                 FogCell::Cut { axis, at } => {
@@ -168,22 +169,22 @@ impl FogTree {
         Some(tree)
     }
 
-    /// Light times a factor.
+    /// Multiplies the light by a factor.
     pub(crate) fn scale(&mut self, factor: f32) {
         self.leaves.iter_mut().flat_map(|placed| &mut placed.leaf.mean).for_each(|light| *light *= factor);
     }
 
-    /// Whether there are no boxes.
+    /// Checks whether there are no boxes.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }
 
-    /// Corners of the box that holds all, prepared frame, m.
+    /// Returns the corners of the bounding box, prepared frame, m.
     pub fn bounds(&self) -> [Vec3A; 2] {
         [self.min, self.max]
     }
 
-    /// All boxes in the order of [`FogTree::new`].
+    /// Returns all boxes in the order of [`FogTree::new`].
     pub fn cells(&self) -> impl Iterator<Item = FogCell> + '_ {
         self.nodes.iter().map(|node| match node.kind() {
             Kind::Cut { axis, at, .. } => FogCell::Cut { axis: axis as u8, at },
@@ -191,17 +192,18 @@ impl FogTree {
         })
     }
 
-    /// All boxes that are not cut.
+    /// Returns all boxes that are not split.
     pub fn leaves(&self) -> impl Iterator<Item = &FogLeaf> {
         self.leaves.iter().map(|placed| &placed.leaf)
     }
 
-    /// Bytes that it takes.
+    /// Returns the number of bytes of the tree.
     pub fn memory(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.leaves)
     }
 
-    /// Mean radiance from all around a point, cd/m2, without what comes straight from light sources; 0 outside of the boxes.
+    /// Returns the mean radiance from all directions at a point, cd/m2, without direct light from light sources; 0 outside of the
+    /// boxes.
     pub fn mean_radiance(&self, point: Vec3A) -> Rgb {
         self.find(point).map_or(Rgb::ZERO, |placed| placed.at(point.as_dvec3()))
     }

@@ -1,5 +1,5 @@
-//! Tables of records of equal length, made of words of 4 bytes, in byte planes: the lowest byte of the first word of all records, then the
-//! next. What is alike lies together then.
+//! Tables of records of equal length, made of words of 4 bytes and stored in byte planes: the lowest byte of the first word of all
+//! records, then the next byte. This places similar bytes next to each other.
 
 use super::{CUT, PathsError};
 
@@ -11,7 +11,7 @@ pub(super) fn put<const N: usize>(out: &mut Vec<u8>, records: &[[u32; N]]) {
     for at in 0..N {
         column.iter_mut().zip(records).for_each(|(word, record)| *word = record[at]);
         for byte in 0..4 {
-            // Most planes are nothing but zeros.
+            // Most planes contain only zeros.
             if any[at].to_le_bytes()[byte] == 0 {
                 out.resize(out.len() + records.len(), 0);
             } else {
@@ -21,11 +21,11 @@ pub(super) fn put<const N: usize>(out: &mut Vec<u8>, records: &[[u32; N]]) {
     }
 }
 
-/// Tables that are not read yet.
+/// Tables that are not read yet, as bytes.
 pub(super) struct Tables<'a>(pub(super) &'a [u8]);
 
 impl Tables<'_> {
-    /// The next table; nothing is made room for that is not there.
+    /// Reads the next table. It allocates no more memory than the bytes present justify.
     pub(super) fn table<const N: usize>(&mut self, records: usize) -> Result<Vec<[u32; N]>, PathsError> {
         let bytes = records.checked_mul(4 * N).ok_or(CUT)?;
         let (planes, rest) = self.0.split_at_checked(bytes).ok_or(CUT)?;
@@ -43,12 +43,12 @@ impl Tables<'_> {
     }
 }
 
-/// The two words of a number of 8 bytes, the lower one first.
+/// Splits a number of 8 bytes into two words, the lower one first.
 pub(super) fn split(long: u64) -> [u32; 2] {
     [long as u32, (long >> 32) as u32]
 }
 
-/// The number of two words.
+/// Joins two words to a number, the lower one first.
 pub(super) fn joined([low, high]: [u32; 2]) -> u64 {
     u64::from(low) | u64::from(high) << 32
 }

@@ -1,4 +1,4 @@
-//! Statistics as bytes. The same statistics give the same bytes, and the bytes give the same statistics to the bit. All numbers are
+//! Statistics as bytes. Equal statistics give equal bytes, and decoding restores the statistics to the bit. All numbers are
 //! little-endian.
 //!
 //! | bytes | what |
@@ -8,27 +8,29 @@
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 | version of the attributes and their bins ([`schema`]) |
 //! | 8 | seed |
-//! | 7 x 4 | frame, width, height, tile, most records, most records of a sketch, 1: all samples are in the histograms, else 0 |
+//! | 7 x 4 | frame, width, height, tile, maximum number of records, maximum number of records of a sketch, 1 if all samples are in the histograms, else 0 |
 //! | 6 x 8 | corners of the box, m |
 //! | 8 | threshold |
 //! | 7 x 4 | numbers of portions, paths, brightest, deepest, intersections, lights, names |
 //! | 8 | bytes of the tables below |
 //! | rest | zstd frame of the tables |
 //!
-//! A table is a number of records of equal length, made of words of 4 bytes, and stored in byte planes (the lowest byte of the first
-//! word of all records, then the next). Numbers of 8 bytes are two words, the lower one first.
+//! A table is a number of records of equal length, made of words of 4 bytes, and stored in byte planes (the lowest byte of the
+//! first word of all records, then the next). Numbers of 8 bytes are two words, the lower one first.
 //!
 //! | table | words of a record |
 //! | --- | --- |
 //! | portions | tile, half, begin, end; the counters, two each |
-//! | bins, of each portion those of all attributes, if all samples are in them | count: 2 |
+//! | bins, those of all attributes for each portion, if all samples are in them | count: 2 |
 //! | pixels, portion by portion | samples, depth, throughput, luminance: 2, its squares: 4 ([`crate::pixels`]) |
 //! | names | kind, bytes of the text |
 //!
-//! The texts follow, one after the other, and then the tables of the records (`codec/records.rs`). Names are their places among the names, from 1; 0 is none.
+//! The texts follow, one after the other, and then the tables of the records (`codec/records.rs`). Names are written as their
+//! indices in the table of names, from 1; 0 is no name.
 //!
-//! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
-//! come out of it. Accepted bytes hold all laws of [`Statistics`]: order, ranges, portions apart, no number that is not finite.
+//! The checksum is verified first. Decompression never yields more than the header says, and no memory is allocated for data that
+//! has not been decompressed. Accepted bytes obey all invariants of [`Statistics`]: order, ranges, disjoint portions, finite
+//! numbers.
 
 mod columns;
 mod records;
@@ -46,35 +48,35 @@ const MAGIC: &[u8; 8] = b"FEMCPATH";
 const VERSION: u32 = 3;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
-/// Most bytes of all tables: 4 GiB, of which a film of 8192 x 4320 pixels has 2.4 GiB.
+/// Maximum number of bytes of all tables: 4 GiB. A film of 8192 x 4320 pixels needs 2.4 GiB.
 const MOST: u64 = 1 << 32;
-/// What is read back needs no larger window than this; it bounds what the decompressor takes.
+/// Maximum window of data that is read back. It bounds the memory of the decompressor.
 const WINDOW_LOG: u32 = 23;
 const LEVEL: i32 = 1;
 
-/// Words of a portion.
+/// Number of words of a portion.
 const PORTION: usize = 4 + 2 * (1 + 2 * schema::FINE + ENDS);
 
-/// Why bytes are no light statistics.
+/// Reason why bytes cannot be decoded as light statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PathsError {
-    /// They are of another version of the format.
+    /// The bytes have another version of the format.
     #[error("light statistics of format {found}, not {expected}")]
     Version {
-        /// Version of these bytes.
+        /// Version of the bytes.
         found: u32,
-        /// Version that is read here.
+        /// Version that this build reads.
         expected: u32,
     },
-    /// They are counted in other bins.
+    /// The counts use bins of another version.
     #[error("light statistics with bins of version {found}, not {expected}")]
     Schema {
-        /// Version of these bytes.
+        /// Version of the bytes.
         found: u32,
-        /// Version that is read here.
+        /// Version that this build reads.
         expected: u32,
     },
-    /// They are damaged, or something else.
+    /// The bytes are damaged or not light statistics.
     #[error("no light statistics: {0}")]
     Corrupt(&'static str),
 }
@@ -84,7 +86,7 @@ const ORDER: PathsError = PathsError::Corrupt("records out of order");
 const RANGE: PathsError = PathsError::Corrupt("a number is out of its range");
 
 impl Statistics {
-    /// The statistics as bytes.
+    /// Encodes the statistics as bytes.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = MAGIC.to_vec();
         out.extend(VERSION.to_le_bytes());
@@ -104,7 +106,7 @@ impl Statistics {
         lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
         let tables = self.tables();
         out.extend((tables.len() as u64).to_le_bytes());
-        // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
+        // Compression from memory to a growing buffer cannot fail. If it fails nevertheless, the result does not decode.
         out.extend(zstd::bulk::compress(&tables, LEVEL).unwrap_or_default());
         let sum = blake3::hash(&out[PREFIX..]);
         out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
@@ -116,7 +118,7 @@ impl Statistics {
         put(&mut out, &self.portions.iter().map(|(key, counters)| portion(key, counters)).collect::<Vec<_>>());
         if self.scope.is_full {
             let bins = |counters: &Counters| {
-                // A portion without samples has them without counts.
+                // A portion without samples has bins of 0.
                 (0..schema::ALL_BINS).map(|bin| counters.bins.get(bin).copied().unwrap_or(0)).collect::<Vec<u64>>()
             };
             put(&mut out, &self.portions.values().flat_map(bins).map(split).collect::<Vec<_>>());
@@ -130,7 +132,7 @@ impl Statistics {
         out
     }
 
-    /// The statistics of bytes; damage of any kind is an error.
+    /// Decodes statistics from bytes. Damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, PathsError> {
         let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(CUT)?;
         if prefix[..MAGIC.len()] != MAGIC[..] {
@@ -199,7 +201,7 @@ fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7])
         return Err(PathsError::Corrupt("more than its tables"));
     }
     let mut read = Statistics { scope, threshold, portions, paths, brightest, deepest, names };
-    // Settling drops what the scope does not allow, or no sample counted: there is no such thing.
+    // Settling drops records that the scope does not allow or that no portion counted. Valid statistics have no such records.
     let extent = |it: &Statistics| (it.threshold, it.paths.len(), it.brightest.len(), it.deepest.len(), it.names.len());
     let before = extent(&read);
     read.settle();
@@ -226,7 +228,7 @@ fn read_portions(
         if u64::from(tile) >= tiles || half > 1 || begin >= end {
             return Err(RANGE);
         }
-        // The samples that it says are those that were counted.
+        // The portion's key must agree with the number of counted samples.
         if counters.samples() != u64::from(key.samples()) * scope.area(tile) {
             return Err(PathsError::Corrupt("samples of another number"));
         }
@@ -281,7 +283,7 @@ fn number<T: Copy>(all: &[T], number: u32) -> Result<T, PathsError> {
     all.get(number as usize).copied().ok_or(RANGE)
 }
 
-/// Words of a record that is written one by one.
+/// Writer of a record, word by word.
 struct Words<const N: usize> {
     words: [u32; N],
     next: usize,
@@ -310,7 +312,7 @@ impl<const N: usize> Words<N> {
     }
 }
 
-/// Words of a front that is read one by one.
+/// Reader of the header, word by word.
 struct Front<'a>(&'a [u8]);
 
 impl Front<'_> {

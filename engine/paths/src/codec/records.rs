@@ -1,23 +1,25 @@
-//! Records as tables. What follows from the rest of a record is not written: a number is written as the bits in which it differs from what
-//! would follow, which are hardly ever any. The order of what is written is that of the records, first those chosen by hash, then the
-//! brightest, then the deepest, and in each that of its intersections and lights.
+//! Records as tables. A value that can be predicted from the rest of its record is written as the bits in which it differs from the
+//! prediction, which are almost always 0. The order of the tables is that of the records: first those chosen by hash, then the
+//! brightest, then the deepest. Within a record it is the order of its intersections and lights.
 //!
 //! | table | words of a record |
 //! | --- | --- |
-//! | heads | pixel, sample, radiance: 3, from the sum of the lights; throughput: 3; depth less kept intersections; end; numbers of kept intersections and of lights |
-//! | intersections | bounce, from the next one; place: 6; radiance: 3, from what the lights say; throughput: 3; class; object; material |
+//! | heads | pixel, sample, radiance: 3, predicted by the sum of the lights; throughput: 3; depth minus kept intersections; end; numbers of kept intersections and of lights |
+//! | intersections | bounce, minus that of the intersection before; place: 6; radiance: 3, predicted from the lights; throughput: 3; class; object; material |
 //! | places off the grid | 6 |
-//! | lights | class; vertex, from that of the light before; lamp |
+//! | lights | class; vertex, minus that of the light before; lamp |
 //! | occluders, of hidden lights | 1 |
-//! | radiances, of lights that have some | 3 |
-//! | media, of light scattered in some | 1 |
+//! | radiances, of lights with radiance | 3 |
+//! | media, of light scattered in a medium | 1 |
 //!
-//! - A coordinate is its number on the [grid](Scope::grid), in two words, twice as large, and one less for -1, -2...: zigzag. Where one of a
-//!   place is no such number below 2^52, all three are 2^64 - 1 and the place lies in the next table.
-//! - Of three channels the second and third are the bits in which they differ from the first.
-//! - The class of an intersection is its interaction, and 8 if what it sends has the light that the path met there ([`Path::sent`]). Its material
-//!   is 0 if it is that of the latest intersection with the same object, else one more than its place among the names.
-//! - The class of a light is how it was found, 8 if it is hidden, 16 if it has radiance.
+//! - A coordinate is written as its index on the [grid](Scope::grid), in two words, zigzag encoded: 2 i for i >= 0 and -2 i - 1 for
+//!   negative i. If a coordinate of a place is not such an index below 2^52, all three are 2^64 - 1 and the place is in the next
+//!   table.
+//! - For three channels, the second and third are the bits in which they differ from the first.
+//! - The class of an intersection is its interaction, plus 8 if its radiance includes the light of the lamp that the path hit there
+//!   ([`Path::sent`]). Its material is 0 if it equals the material of the latest intersection with the same object, else one more
+//!   than its index among the names.
+//! - The class of a light is the technique that found it, plus 8 if it is hidden, plus 16 if it has radiance.
 
 use super::columns::{Tables, joined, put, split};
 use super::{CUT, ORDER, PathsError, RANGE, number};
@@ -31,14 +33,14 @@ use std::slice::Iter;
 const HEAD: usize = 12;
 const INTERSECTION: usize = 16;
 const LIGHT: usize = 3;
-/// A coordinate that is not on the grid.
+/// Marker of a coordinate that is not on the grid.
 const OFF_GRID: u64 = u64::MAX;
-/// The light met there is sent from there.
+/// Flag of an intersection whose radiance includes the light of the lamp hit there.
 const EMITS: u32 = 8;
 const HIDDEN: u32 = 8;
 const LIT: u32 = 16;
 
-/// Numbers of intersections and lights of records.
+/// Counts the intersections and lights of records.
 pub(super) fn extents<'a>(records: impl Iterator<Item = &'a Path>) -> [usize; 2] {
     records.fold([0, 0], |[a, b], path| [a + path.intersections.len(), b + path.lights.len()])
 }
@@ -54,9 +56,9 @@ pub(super) fn put_records(out: &mut Vec<u8>, all: [&Records; 3], names: &Names, 
 #[derive(Default)]
 struct Columns {
     grid: f64,
-    /// What names are written as.
+    /// Written index of each name.
     places: ByName<u32>,
-    /// The latest material of each object, by their places.
+    /// Latest material of each object, both by index.
     materials: HashMap<u32, u32>,
     heads: Vec<[u32; HEAD]>,
     intersections: Vec<[u32; INTERSECTION]>,
@@ -68,7 +70,7 @@ struct Columns {
 }
 
 impl Columns {
-    /// A name without a text is written as no name.
+    /// Returns the index of a name. A name without a text is written as no name.
     fn place(&self, name: Name) -> u32 {
         self.places.get(&name).copied().unwrap_or(0)
     }
@@ -138,18 +140,18 @@ impl Columns {
     }
 }
 
-/// The bits in which the channels differ from those that would follow.
+/// Returns the bits in which the channels differ from the predicted ones.
 fn differing(own: [f32; 3], other: [f32; 3]) -> [u32; 3] {
     std::array::from_fn(|channel| own[channel].to_bits() ^ other[channel].to_bits())
 }
 
-/// The first channel, and the bits in which the others differ from it.
+/// Returns the first channel, and the bits in which the second and third differ from it.
 fn alike(color: [f32; 3]) -> [u32; 3] {
     let [r, g, b] = color.map(f32::to_bits);
     [r, g ^ r, b ^ r]
 }
 
-/// What [`alike`] was made of.
+/// Inverse of [`alike`].
 fn color([r, g, b]: [u32; 3]) -> [f32; 3] {
     [r, g ^ r, b ^ r].map(f32::from_bits)
 }
@@ -169,13 +171,15 @@ fn on_grid(position: [f64; 3], grid: f64) -> [u64; 3] {
     }
 }
 
-/// What [`on_grid`] was made of.
+/// Inverse of [`on_grid`], for one coordinate.
 fn position(place: u64, grid: f64) -> f64 {
     let number = (place >> 1) as i64 ^ -((place & 1) as i64);
     number as f64 * grid
 }
 
-/// Reads as many records: chosen by hash, brightest, deepest; and of intersections and lights of them all.
+/// Reads the records chosen by hash, the brightest and the deepest.
+/// - `heads`: number of records of each kind;
+/// - `[intersections, lights]`: numbers of intersections and lights of all records.
 pub(super) fn records(
     tables: &mut Tables<'_>,
     heads: [u32; 3],
@@ -222,7 +226,7 @@ pub(super) fn records(
     Ok(all)
 }
 
-/// What is not read yet.
+/// Reader of the parts of the tables that are not read yet.
 struct Rest<'a> {
     scope: &'a Scope,
     grid: f64,
@@ -257,7 +261,7 @@ impl Rest<'_> {
             lights: Vec::with_capacity(found.min(self.lights.len())),
         };
         let (mut bounce, mut vertex) = (0, 0);
-        // What is not as it follows, and whether something is emitted there.
+        // Differences from the predicted radiances, and the flags of emission.
         let mut differences = Vec::with_capacity(path.intersections.capacity());
         for _ in 0..kept {
             let (it, difference) = self.intersection(&mut bounce)?;
@@ -331,7 +335,7 @@ impl Rest<'_> {
     }
 }
 
-/// What [`differing`] was made of.
+/// Inverse of [`differing`].
 fn apart(other: [f32; 3], bits: [u32; 3]) -> [f32; 3] {
     std::array::from_fn(|channel| f32::from_bits(other[channel].to_bits() ^ bits[channel]))
 }

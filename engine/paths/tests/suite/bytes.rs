@@ -1,10 +1,10 @@
-//! Statistics as bytes.
+//! Tests of statistics as bytes.
 
 use crate::world::{scope, task, tasks, united};
 use femc_math::hash::combine;
 use femc_paths::{PathsError, Scope, Statistics};
 
-/// Its checksum made right again.
+/// Recomputes the checksum.
 fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let (front, body) = bytes.split_at_mut(28);
     front[12..28].copy_from_slice(&blake3::hash(body).as_bytes()[..16]);

@@ -1,4 +1,4 @@
-//! What makes an image noisy and its paths long.
+//! Tests of the sources of noise and long paths.
 
 use crate::world::{self, OBJECTS, scope, tasks, united};
 use femc_paths::bottlenecks::{Bottlenecks, By, Evidence, Part, scattered_by, weighed};
@@ -11,13 +11,13 @@ fn frame(keep: u32) -> Statistics {
     united(&scope(keep), tasks(&scope(keep))).counted(0, |_, _| u32::MAX)
 }
 
-/// All samples that count.
+/// Returns all samples that count.
 fn all(scope: &Scope) -> Vec<Path> {
     let keys = (0..36 * 20).flat_map(|pixel| (0..16).map(move |sample| PathKey { frame: 3, pixel, sample }));
     keys.filter(|key| !world::is_bad(*key)).map(|key| world::path(scope, key)).collect()
 }
 
-/// Each object's part of the noise: of all samples, by the formula for it.
+/// Computes each object's part of the noise from all samples, with the formula.
 fn noises(scope: &Scope) -> BTreeMap<Name, f64> {
     let [columns, rows] = [36 / 16 + 1, 20 / 16 + 1];
     let block = |pixel: u32| (pixel / 36 / 16 * columns + pixel % 36 / 16) as usize;
@@ -49,7 +49,7 @@ fn of_object(found: &Bottlenecks, object: Name) -> Evidence {
 
 #[test]
 fn of_all_samples_the_parts_are_what_the_formula_says_and_add_up() {
-    // Everything is recorded: the pool has room, and the share is all.
+    // Everything is recorded: the limit is not reached, and the share is 1.
     let scope = scope(1 << 20);
     let mut all = Statistics::new(scope, 1.0);
     let parts = world::tiles(&scope).map(|tile| world::record(&scope, tile, 0..16, 1.0, |_, _| true));
@@ -58,7 +58,7 @@ fn of_all_samples_the_parts_are_what_the_formula_says_and_add_up() {
     let expected = noises(&scope);
     let total: f64 = expected.values().sum();
     for (object, noise) in &expected {
-        // A pixel whose bad samples are left out weighs its others as if they were there.
+        // A pixel with bad samples weighs its other samples as if the bad ones were present.
         let own = of_object(&found, *object).noise;
         assert!((own - noise).abs() < 0.01 * total, "{own} and {noise} of {total}");
     }
@@ -84,7 +84,7 @@ fn a_tenth_of_the_samples_and_the_brightest_say_nearly_the_same() {
         let own = of_object(&found, object).noise;
         assert!((own - noise).abs() < 0.05 * total, "{own} and {noise} of {total}");
     }
-    // Without the brightest, of which there are few, it would not.
+    // Without the few brightest samples, the noise would be wrong.
     let blind = Statistics { brightest: BTreeMap::new(), scope: Scope { top: 0, ..some.scope }, ..some.clone() };
     let blind = Bottlenecks::of(&blind, By::Object);
     assert!((blind.total.noise / total - 1.0).abs() > 4.0 * (found.total.noise / total - 1.0).abs());

@@ -1,9 +1,9 @@
-//! Frames of a job, united.
+//! Tests of the union of frames of a job.
 
 use crate::world::{path, scope, task, tiles, united};
 use femc_paths::{Frames, Scope, Statistics, UnionError};
 
-/// A frame whose tiles have as many samples.
+/// Creates a frame with this number of samples in each tile.
 fn frame(number: u32, samples: u32, keep: u32) -> Statistics {
     let scope = Scope { frame: number, ..scope(keep) };
     united(&scope, tiles(&scope).map(|tile| task(&scope, tile, 0..samples))).counted(0, |_, _| u32::MAX)
@@ -42,7 +42,7 @@ fn the_records_of_all_frames_are_the_least_by_hash_of_all_their_samples() {
     let mut found: Vec<_> = united.frames().flat_map(|it| it.paths.keys().copied()).collect();
     found.sort_unstable();
     assert_eq!(found, wanted);
-    // Each frame has the share of its samples; counters and sketches are those of the frames.
+    // Each frame has its share of the samples. Counters and sketches stay those of the frames.
     for (own, alone) in united.frames().zip(frames(KEEP as u32)) {
         assert_eq!(
             (own.samples(), &own.portions, &own.brightest),
@@ -63,7 +63,7 @@ fn frames_get_one_box_and_other_content_of_the_same_frame_is_refused() {
     let mut again = united.clone();
     again.unite([wider, a.clone()]).unwrap();
     assert_eq!(again, united);
-    // Read back, with places that are on no grid of the larger box.
+    // Decoding works for positions that are on no grid of the larger box.
     assert!(Frames::decode(&united.encode()).is_ok_and(|read| read == united));
     let mut other = a.clone();
     other.portions.values_mut().for_each(|counters| counters.bad += 1);

@@ -1,4 +1,4 @@
-//! Unions in any order, grouping and number; totals.
+//! Tests of unions in any order, grouping and number, and of totals.
 
 use crate::world::{self, ROUNDS, SEED, ends, is_bad, scope, task, tasks, tiles, united};
 use femc_math::hash::combine;
@@ -18,7 +18,7 @@ fn shuffled<T>(mut items: Vec<T>, seed: u64) -> Vec<T> {
     items
 }
 
-/// The samples of the frame that the film takes.
+/// Returns the samples of the frame that the film accepts.
 fn good(scope: &Scope) -> Vec<PathKey> {
     let pixels = 0..scope.film[0] * scope.film[1];
     let keys = pixels.flat_map(|pixel| (0..16).map(move |sample| PathKey { frame: 3, pixel, sample }));
@@ -106,7 +106,7 @@ fn totals_are_the_samples_and_histograms_those_of_the_subset() {
         for counts in histograms.attributes.iter().chain(&histograms.pairs) {
             assert_eq!(counts.samples.iter().sum::<u64>(), expected as u64, "{table:?}");
         }
-        // A pair's rows and columns are the histograms of its two.
+        // The row and column sums of a pair are the histograms of its two attributes.
         let pair = &histograms.pairs[0];
         let row = |bin: usize| pair.samples[64 * bin..64 * bin + 64].iter().sum::<u64>();
         assert!((0..64).map(row).eq(histograms.attributes[0].samples.iter().copied()));
@@ -130,8 +130,8 @@ fn by_image_every_pixel_counts_one_however_many_samples_its_halves_have() {
     assert!((pixels - (36.0 * 20.0 - bad)).abs() < 1e-4, "{pixels}");
 }
 
-/// Whether a choice of samples of the share `share` is fair: of pixels of either parity, of every third column, of either half as many
-/// as there should be. The chance of a false alarm is 1e-4 for three such tests.
+/// Checks that a choice of samples with the share `share` is fair: it has the expected number of pixels of either parity, of every
+/// third column, and of either half. The chance of a false alarm is 1e-4 for three such tests.
 pub(crate) fn is_fair(share: f64, chooses: impl Fn(PathKey) -> bool) -> bool {
     let classes = |key: PathKey| (key.pixel % 2 + 2 * (key.sample % 2) + 4 * (key.pixel % 3)) as usize;
     let mut counts = [[0u64; 2]; 12];
@@ -287,7 +287,7 @@ fn full_histograms_are_of_all_samples_that_count_by_samples_and_by_image() {
             assert!((0..9).all(|number| histograms[8].samples[number as usize] == depth(number)));
         }
     }
-    // A sample that is missing from them is found.
+    // A sample missing from the histograms is detected.
     let mut damaged = counted.clone();
     let counters = damaged.portions.values_mut().next().unwrap();
     let bin = counters.bins.iter().position(|count| *count > 0).unwrap();

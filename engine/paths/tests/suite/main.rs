@@ -1,4 +1,5 @@
-//! Laws of light statistics, on made-up paths that are a function of their keys alone, as those of a renderer are.
+//! Tests of the invariants of light statistics, on synthetic paths that are a function of only their keys, like those of a
+//! renderer.
 
 mod bytes;
 mod causes;

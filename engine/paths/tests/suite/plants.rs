@@ -1,11 +1,11 @@
-//! Bugs planted into the made-up renderer and the union: the laws must find each.
+//! Bugs planted in the synthetic renderer and the union. The invariants must detect each of them.
 
 use crate::laws::is_fair;
 use crate::world::{ends, path, record, scope, task, tasks, tiles, united};
 use femc_paths::histogram::{Histograms, Table};
 use femc_paths::{PathKey, Statistics, schema};
 
-/// Whether statistics hold what any must: read back they are the same.
+/// Checks the invariants of statistics: encoding and decoding must not change them.
 fn hold(statistics: &Statistics) -> bool {
     Statistics::decode(&statistics.encode()).is_ok_and(|read| read == *statistics)
 }
@@ -15,13 +15,13 @@ fn a_record_that_is_counted_twice_is_found() {
     let scope = scope(900);
     let mut all = task(&scope, 1, 0..4);
     assert!(hold(&all));
-    // The sample itself once more in the counters.
+    // The sample is counted twice.
     let key = all.paths.first_key_value().unwrap().0.1;
     let portion = all.portion_of(key).unwrap();
     let sample = path(&scope, key);
     all.portions.get_mut(&portion).unwrap().count(sample.luminance(), sample.depth, sample.end);
     assert!(!hold(&all), "the counters say more samples than there are");
-    // A task that comes again as another one, as where the union is not keyed.
+    // A task arrives again as another task, as with a union without keys.
     let mut twice = united(&scope, tasks(&scope));
     assert!(twice.unite(task(&scope, 4, 0..8)).is_err(), "the samples are there in two portions");
 }
@@ -38,7 +38,7 @@ fn a_subset_by_the_parity_of_pixels_is_found() {
 
 #[test]
 fn a_pool_that_is_cut_by_arrival_is_found() {
-    // What a pool that is full keeps of a part that arrives.
+    // A pool that keeps records in order of arrival until it is full.
     let cut = |parts: Vec<Statistics>| {
         let mut kept = Vec::<(u64, PathKey)>::new();
         for part in parts {
@@ -59,13 +59,13 @@ fn a_pool_that_is_cut_by_arrival_is_found() {
 
 #[test]
 fn a_bin_edge_that_is_off_by_one_is_found() {
-    // Each edge belongs to the bin that begins there; with `>` for `>=` it would not.
+    // Each edge belongs to the bin that begins there. With `>` for `>=` it would not.
     for bin in 2..64 {
         let edge = schema::radiance_edge(bin) as f32;
         let planted = schema::radiance(edge.next_down());
         assert!(schema::radiance(edge) == bin && planted == bin - 1);
     }
-    // The totals of bins are those of the numbers themselves.
+    // The totals of bins equal those of the numbers themselves.
     let scope = scope(1 << 20);
     let all = united(&scope, tasks(&scope));
     let depths = &Histograms::of(&all, Table::Paths).attributes[8].samples;
@@ -82,10 +82,10 @@ fn a_held_sample_that_is_counted_is_found() {
         .flat_map(|tile| [0, 1].map(|half| u64::from(ends(tile, half)).div_ceil(2) * scope.area(tile)))
         .sum();
     assert_eq!(all.clone().counted(0, ends).samples(), expected);
-    // Halves that end with their tile.
+    // Both halves end with their tile.
     let planted = all.clone().counted(0, |tile, _| ends(tile, 0).max(ends(tile, 1)));
     assert_ne!(planted.samples(), expected);
-    // A record of a portion that has gone.
+    // A record of a portion that was removed.
     let mut counted = all.clone().counted(0, ends);
     let held = all.paths.iter().find(|(_, path)| counted.portion_of(path.key).is_none()).unwrap();
     counted.paths.insert(*held.0, held.1.clone());

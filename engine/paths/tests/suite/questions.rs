@@ -1,4 +1,4 @@
-//! Questions about paths.
+//! Tests of queries for paths.
 
 use crate::world::{scope, tasks, united};
 use femc_paths::query::{Condition, Query, QueryError};

@@ -1,11 +1,11 @@
-//! Few paths that stand for many.
+//! Tests of representative sets: few paths that represent many.
 
 use crate::world::{SEED, path, scope};
 use femc_paths::PathKey;
 use femc_paths::represent::{Bins, Distance, Target, best_of, rarest, representative};
 use femc_paths::schema::{PATH, path_bins};
 
-/// The bins of a million paths, in order of their hashes.
+/// Returns the bins of about `samples` paths, in order of their hashes.
 fn bins(samples: u32) -> Vec<Bins> {
     let scope = scope(1);
     let pixels = scope.film[0] * scope.film[1];

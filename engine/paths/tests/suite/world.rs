@@ -1,4 +1,4 @@
-//! A made-up renderer: a path is a function of seed and key.
+//! A synthetic renderer: a path is a function of seed and key.
 
 use femc_math::elementary::ln;
 use femc_math::hash::{combine, unit_f32};
@@ -10,7 +10,7 @@ use std::ops::Range;
 
 pub(crate) const SEED: u64 = 7;
 
-/// A film of 5 x 3 tiles, the last of each row and column narrower.
+/// Creates the scope of a film of 5 x 3 tiles, with narrower tiles at the end of each row and column.
 pub(crate) fn scope(keep: u32) -> Scope {
     Scope {
         seed: SEED,
@@ -32,7 +32,7 @@ pub(crate) fn tiles(scope: &Scope) -> Range<u32> {
 
 pub(crate) const OBJECTS: [&str; 5] = ["room.floor", "room.wall", "plant", "lamp", ""];
 
-/// The numbers of one path.
+/// Random numbers of one path.
 struct Rolls(u64);
 
 impl Rolls {
@@ -84,24 +84,24 @@ pub(crate) fn path(scope: &Scope, key: PathKey) -> Path {
     let radiance = throughput.map(|factor| factor * bright * (1.0 + x as f32) * -ln(rolls.next().max(1e-6)));
     let end =
         if depth == 0 { End::Escaped } else { [End::Absorbed, End::Roulette, End::Depth][rolls.below(3) as usize] };
-    // The lights' parts add up to the sample; what is seen of none comes from none.
+    // The lights' parts add up to the sample. A path without intersections has no radiance.
     let parts: f32 = lights.iter().map(|it: &Light| it.radiance[0]).sum();
     lights.iter_mut().for_each(|it| it.radiance = radiance.map(|all| all * it.radiance[0] / parts));
     let radiance = if depth == 0 { [0.0; 3] } else { radiance };
     Path { key, radiance, throughput, depth, end, intersections, lights }
 }
 
-/// Whether a sample is none: now and then one is.
+/// Checks whether a sample is invalid. A few samples are.
 pub(crate) fn is_bad(key: PathKey) -> bool {
     combine(&[9, u64::from(key.pixel), u64::from(key.sample)]).is_multiple_of(997)
 }
 
-/// What a task of a tile tells: all samples of a range.
+/// Returns the statistics of a task of a tile: all samples of a range.
 pub(crate) fn task(scope: &Scope, tile: u32, samples: Range<u32>) -> Statistics {
     record(scope, tile, samples, 0.5, |statistics, key| statistics.wants(key))
 }
 
-/// The same with another share, and another choice of records.
+/// Returns the statistics of a task, with another share and another choice of records.
 pub(crate) fn record(
     scope: &Scope,
     tile: u32,
@@ -166,7 +166,7 @@ pub(crate) fn united(scope: &Scope, parts: impl IntoIterator<Item = Statistics>)
     all
 }
 
-/// Ends of halves as a rule on errors might leave them: some ended a round or two before the last.
+/// Returns ends of halves as an error rule might leave them: some end one or two rounds before the last one.
 pub(crate) fn ends(tile: u32, half: u8) -> u32 {
     [16, 8, 16, 4, 8][(2 * tile + u32::from(half)) as usize % 5]
 }

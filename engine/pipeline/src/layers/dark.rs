@@ -1,8 +1,8 @@
-//! Layers that stay black: whose paths need an event that nothing in the scene makes.
+//! Detection of layers that stay black because their paths need an event that nothing in the scene makes.
 //!
-//! The events that a scene can make follow from its description: the scattering of materials that are shown at some time, media that are placed,
-//! what emits. Where a scalar varies, all that it may become counts. More is told than happens (a surface that no light reaches counts),
-//! never less, so that a layer that is named here has no light in any frame.
+//! The possible events follow from the scene's description: the scattering of materials that are shown at some time, placed media,
+//! and emitters. For a varying scalar, all its values count. The set of events may be too large (a surface that no light reaches
+//! counts), but never too small. So a layer that is reported here has no light in any frame.
 
 use crate::settings::Settings;
 use femc_layers::{Darkness, Event, Expression, Kind, LabelSet, Vocabulary, darkness, parse_all, spelled};
@@ -27,7 +27,7 @@ impl fmt::Display for DarkLayer {
     }
 }
 
-/// Layers of the settings that stay black in every frame of the scene, whose overrides are applied.
+/// Returns the layers of the settings that stay black in every frame of the scene. Overrides must be applied.
 pub fn dark_layers(scene: &Scene, settings: &Settings) -> Vec<DarkLayer> {
     let Ok(expressions) = parse_all(&settings.layers) else { return Vec::new() };
     let longest = (settings.max_depth > 0).then_some(settings.max_depth as usize);
@@ -59,14 +59,14 @@ fn reason(makers: &Makers<'_>, expression: &Expression, longest: Option<usize>) 
     })
 }
 
-/// Says that nothing makes an event, and what to write instead.
+/// Describes that nothing makes an event, and suggests alternatives.
 fn lack(event: &Event, vocabulary: &Vocabulary, made: &BTreeSet<(Kind, LabelSet)>) -> String {
     use Kind::{
         Background, Light, Object, ReflectedDiffuse, ReflectedGlossy, ReflectedSpecular, TransmittedDiffuse,
         TransmittedGlossy, TransmittedSpecular, Volume,
     };
     let is_labelled = event.labels().next().is_some();
-    // Kinds that what the event names makes; what anything makes, where it names nothing.
+    // Kinds of events made by the named things, or by anything if the event has no names.
     let any = event.of_any_kind();
     let of_named = |(_, set): &&(Kind, LabelSet)| !is_labelled || any.fits(Light, |label| vocabulary.has(*set, label));
     let there: BTreeSet<Kind> = made.iter().filter(of_named).map(|(kind, _)| *kind).collect();
@@ -121,7 +121,7 @@ struct Makers<'a> {
     scene: &'a Scene,
     /// Objects and materials of surfaces that are shown at some time.
     surfaces: BTreeSet<(Option<ObjectId>, usize)>,
-    /// By material its kinds of scattering, and whether it emits.
+    /// Kinds of scattering by material, and whether it emits.
     scattering: Vec<Vec<Kind>>,
     emits: Vec<bool>,
     /// Media that are placed.
@@ -154,7 +154,7 @@ impl<'a> Makers<'a> {
         }
     }
 
-    /// All events, with the labels of what makes them.
+    /// Returns all events, with the labels of their makers.
     fn symbols(&self, vocabulary: &Vocabulary) -> BTreeSet<(Kind, LabelSet)> {
         let scene = self.scene;
         let object =
@@ -166,7 +166,7 @@ impl<'a> Makers<'a> {
         let mut all = BTreeSet::new();
         for &(of, number) in &self.surfaces {
             let Some(material) = scene.materials.get(number) else { continue };
-            // As the recorder has it: of the object and of the material.
+            // As in the recorder: the labels of the object and of the material.
             let labels = vocabulary.set(&[object(of)]).union(vocabulary.set(&[&material.name]));
             all.extend(self.scattering[number].iter().map(|kind| (*kind, labels)));
             if self.emits[number] {
@@ -192,7 +192,7 @@ fn largest(scene: &Scene, material: &Material, field: &str, now: f64) -> f64 {
     scene.largest(&format!("material.{}", material.name), field, now)
 }
 
-/// Kinds of scattering that a material may have at some time.
+/// Returns the kinds of scattering that a material may have at some time.
 fn kinds_of(scene: &Scene, material: &Material) -> Vec<Kind> {
     use Kind::{
         ReflectedDiffuse as RD, ReflectedGlossy as RG, ReflectedSpecular as RS, TransmittedDiffuse as TD,
@@ -203,14 +203,15 @@ fn kinds_of(scene: &Scene, material: &Material) -> Vec<Kind> {
     let present = |field: &str, now: f64| largest(scene, material, field, now) > 0.0;
     let (rd, td) = (present("rd", material.rd.amount), present("td", material.td.amount));
     let (rs, ts) = (present("rs", material.rs.amount), present("ts", material.ts.amount));
-    // Rough, and smooth, at some time.
+    // Whether the surface is rough at some time, and whether it is smooth at some time.
     let roughness = |field: &str, now: f64| {
         let is_rough = now as f32 > SMOOTH_ALPHA;
         if varies(field) { [true, true] } else { [is_rough, !is_rough] }
     };
     let [rs_rough, rs_smooth] = roughness("rs_alpha", material.rs_alpha);
     let [ts_rough, ts_smooth] = roughness("ts_alpha", material.ts_alpha);
-    // A solid reflects what it does not refract, as rough as it transmits; a sheet lets light through unbent, which is no event.
+    // A solid reflects the light that it does not refract, with the same roughness. A sheet transmits light straight through, which
+    // is not an event.
     let may_change = ["sides", "ir", "ir.im"].into_iter().any(varies);
     let is_solid = material.sides == Sides::One && material.ior.is_some();
     let may_be_solid = (is_solid || may_change && material.ior.is_some()) && ts;

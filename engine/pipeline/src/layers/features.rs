@@ -1,7 +1,8 @@
-//! Features of a frame: what the camera sees first, beside the light.
+//! Features of a frame (AOVs): data of the first visible surface, in addition to the light.
 //!
-//! The recorder asks for the first surface along each sample's camera ray itself ([`first_surface`]): one ray more a sample, and nothing of
-//! the path that fog or a mirror could change. Without features no recorder hears of camera rays, and nothing is paid.
+//! The recorder itself traces the camera ray of each sample to the first surface ([`first_surface`]). This costs one more ray per
+//! sample, and fog or mirrors of the path do not affect it. Without features no recorder receives camera rays, and there is no
+//! cost.
 
 use super::recorder::LayerRecorder;
 use super::{LayerPlan, recorded};
@@ -22,23 +23,23 @@ use femc_scene::Scene;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// The features of a frame that are asked for.
+/// The features requested for a frame.
 #[derive(Clone, Debug)]
 pub struct FeaturePlan {
     features: Vec<Feature>,
     seed: u64,
-    /// The next frame, where motion is asked for and there is one.
+    /// Next frame, if motion is requested and there is one.
     next: Option<NextFrame>,
-    /// Ids of the scene's objects and materials, where they are asked for.
+    /// Ids of the scene's objects and materials, if they are requested.
     objects: Vec<u32>,
     materials: Vec<u32>,
-    /// The id of things without a name.
+    /// Id of unnamed things.
     unnamed: u32,
 }
 
 impl FeaturePlan {
-    /// The features that the settings name; `None`: none.
-    /// - errors: the next frame, which motion is about, cannot be had.
+    /// Returns the features in the settings. `None`: there are none.
+    /// - errors: the next frame, which motion needs, cannot be prepared.
     pub fn of(prepared: &Prepared, settings: &Settings) -> Result<Option<Self>, PrepareError> {
         let features: Vec<Feature> = settings.features.iter().copied().collect();
         if features.is_empty() {
@@ -55,18 +56,18 @@ impl FeaturePlan {
         Ok(Some(Self { features, seed: settings.seed, next, objects, materials, unnamed: id_of("") }))
     }
 
-    /// What a pixel has.
+    /// Returns the layout of a pixel.
     pub fn layout(&self) -> FeatureLayout {
         feature_layout(&self.features)
     }
 }
 
-/// The id of a name, or of none.
+/// Returns the id of a name, or of the empty name.
 fn id_of(name: &str) -> u32 {
     cryptomatte::id(if name.is_empty() { cryptomatte::UNNAMED } else { name })
 }
 
-/// What a pixel has of these features.
+/// Returns the layout of a pixel with these features.
 pub fn feature_layout<'a>(features: impl IntoIterator<Item = &'a Feature>) -> FeatureLayout {
     features.into_iter().fold(FeatureLayout::default(), |all, feature| FeatureLayout {
         values: all.values + feature.channels().len() as u32,
@@ -74,7 +75,7 @@ pub fn feature_layout<'a>(features: impl IntoIterator<Item = &'a Feature>) -> Fe
     })
 }
 
-/// Cryptomattes of these features, in the order of their ids: of each its name, and the names in a scene that ids are of, with these.
+/// Returns the Cryptomattes of these features, in the order of their ids: the name of each, and the scene names with their ids.
 pub fn feature_mattes<'a>(
     features: impl IntoIterator<Item = &'a Feature>,
     scene: &Scene,
@@ -94,13 +95,14 @@ pub fn feature_mattes<'a>(
     features.into_iter().filter_map(of).collect()
 }
 
-/// Names of the channels of these features, in the order of [`FeatureImage::channels`](femc_film::FeatureImage::channels).
+/// Returns the names of the channels of these features, in the order of
+/// [`FeatureImage::channels`](femc_film::FeatureImage::channels).
 pub fn feature_channels<'a>(features: impl IntoIterator<Item = &'a Feature> + Clone) -> Vec<String> {
     let names = |feature: &Feature| {
         let name = feature.name();
         feature.channels().iter().map(move |part| format!("{name}.{part}"))
     };
-    // Two ranks in each layer of a Cryptomatte: id, share, id, share.
+    // Each layer of a Cryptomatte has two ranks: id, share, id, share.
     let ranks = |matte: &'static str| {
         let parts = (0..RANKS / 2).flat_map(|number| ["R", "G", "B", "A"].map(|part| (number, part)));
         parts.map(move |(number, part)| format!("{matte}{number:02}.{part}"))
@@ -110,13 +112,13 @@ pub fn feature_channels<'a>(features: impl IntoIterator<Item = &'a Feature> + Cl
     values.chain(["coverage.A".to_owned()]).chain(mattes).collect()
 }
 
-/// Sums up the features of the pixels that a tracer renders one after the other.
+/// Recorder that sums the features of the pixels that a tracer renders one after the other.
 struct FeatureRecorder<'a> {
     plan: &'a FeaturePlan,
     prepared: &'a Prepared,
     sums: FeatureSums,
     latest: Option<u32>,
-    // Of the sample that is being traced:
+    // State of the current sample:
     key: [u32; 2],
     values: Vec<f64>,
     ids: Vec<u32>,
@@ -189,15 +191,15 @@ impl Recorder for FeatureRecorder<'_> {
     fn stop(&mut self, _: u32, _: Stop, _: Rgb) {}
 
     fn end(&mut self, color: Option<Rgb>) {
-        // What the film refuses counts here neither.
+        // Samples that the film rejects do not count here either.
         if color.is_some() {
             self.sums.add(self.has_met.then_some((&self.values, &self.ids)));
         }
     }
 }
 
-/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, with what is asked for beside the picture: layers of
-/// the light, features or both; and with light statistics.
+/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, together with layers of the light, features
+/// or both, and with light statistics.
 pub fn render_beside(
     prepared: &Prepared,
     settings: &Settings,

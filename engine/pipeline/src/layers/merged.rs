@@ -1,12 +1,12 @@
-//! Names that have one id in a Cryptomatte: a compositor cannot pick them apart.
+//! Detection of names that share one id in a Cryptomatte, so that a compositor cannot separate them.
 
 use super::features::feature_mattes;
 use femc_layers::{Feature, cryptomatte};
 use femc_scene::Scene;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A warning for every id that stands for different things in one of these features: an object or material called `default` beside things
-/// without a name, and different names with one hash.
+/// Returns a warning for every id that stands for different things in one of these features: an object or material called `default`
+/// beside unnamed things, and different names with one hash.
 pub fn merged_names(scene: &Scene, features: &BTreeSet<Feature>) -> Vec<String> {
     let mut all = Vec::new();
     for feature in features.iter().filter(|feature| feature.matte().is_some()) {
@@ -41,7 +41,7 @@ fn has_default(scene: &Scene, feature: Feature) -> bool {
     }
 }
 
-/// Whether a surface is in no object, or has the unnamed material.
+/// Checks whether a surface is in no object, or has the unnamed material.
 fn has_unnamed(scene: &Scene, feature: Feature) -> bool {
     let faces = scene.groups.iter().flat_map(|group| group.faces.iter().map(|face| (face.object, face.material)));
     let curved = scene.groups.iter().flat_map(|group| group.quadrics.iter().map(|it| (it.object, it.material)));

@@ -1,13 +1,13 @@
-//! Layers of a frame: light parted by light path expressions while it is rendered.
+//! Layers of a frame: light separated by light path expressions while it is rendered.
 //!
-//! A layer's sample is the part of the picture's sample that its expression takes. What makes an event:
+//! A layer's sample is the part of the picture's sample that its expression accepts. These are the events:
 //!
-//! - a surface that scatters: `R` or `T` by the side that the light comes from, `D` or `G` by the shares of the BSDF's lobes for the two
-//!   directions, whatever drew the direction (a BSDF, a light, a guide); `S` where there is one direction alone. Where both lobes scatter, the
-//!   path goes on in two states, each with its share, so that nothing is added to the picture's noise, and layers that part the paths
-//!   sum up to the picture sample by sample;
+//! - a surface that scatters: `R` or `T` by the side from which the light comes, `D` or `G` by the shares of the BSDF's lobes for
+//!   the two directions, independent of the sampler of the direction (a BSDF, a light, a guide); `S` for a single direction. If
+//!   both lobes scatter, the path continues in two states, each with its share. So no noise is added to the picture's, and layers
+//!   that partition the paths sum up to the picture sample by sample;
 //! - a medium that scatters: `V`;
-//! - a lamp, however it was found: `L`; a medium that glows: `O`. There is no background, `B`;
+//! - a lamp, found with any technique: `L`; a medium that emits: `O`. There is no background, `B`;
 //! - surfaces that light goes straight through: none, since the way to a lamp leads through them, too.
 
 mod dark;
@@ -40,9 +40,9 @@ pub struct LayerPlan {
     automaton: Automaton,
     /// Number of layers.
     count: usize,
-    /// What has no labels.
+    /// Labels in the automaton for things without labels.
     plain: Labels,
-    /// By object its row in `surfaces`, by material its place in the row. Empty, as what follows, where no layer names anything.
+    /// Row in `surfaces` by object, and index in the row by material. This and the fields below are empty if no layer uses names.
     objects: Vec<u32>,
     materials: Vec<u32>,
     surfaces: Vec<Labels>,
@@ -53,8 +53,8 @@ pub struct LayerPlan {
 }
 
 impl LayerPlan {
-    /// The layers that the settings name.
-    /// - errors: an expression is at fault, or there are too many states.
+    /// Compiles the layers in the settings.
+    /// - errors: an expression is invalid, or there are too many states.
     pub fn of(prepared: &Prepared, settings: &Settings) -> Result<Self, LayerError> {
         let (layers, scene) = (&settings.layers, &prepared.scene);
         let vocabulary = Automaton::vocabulary(layers)?;
@@ -66,7 +66,7 @@ impl LayerPlan {
         let media = all(&mut scene.media.iter().map(|medium| vocabulary.set(&[&medium.name])));
         let lamp = |light: usize| lamp_set(prepared, &vocabulary, light as u32);
         let lamps = all(&mut (0..prepared.lights.len()).map(lamp));
-        // Ascending, so that what has no labels is the first.
+        // Ascending, so that the empty set is the first.
         let unique = |sets: &[LabelSet]| {
             let all: BTreeSet<_> = sets.iter().copied().chain([LabelSet::default()]).collect();
             all.into_iter().collect::<Vec<_>>()
@@ -91,17 +91,17 @@ impl LayerPlan {
         })
     }
 
-    /// Number of layers.
+    /// Returns the number of layers.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// The automaton of all their expressions.
+    /// Returns the automaton of all expressions.
     pub fn automaton(&self) -> &Automaton {
         &self.automaton
     }
 
-    /// The layers of a tile, which these recorders have heard of in order.
+    /// Creates the layers of a tile from the recorders, in order.
     fn tile(&self, rect: Rect, samples: Range<u32>, recorders: Vec<LayerRecorder<'_>>) -> Result<LayerTile, FilmError> {
         let runs = recorders.into_iter().map(LayerRecorder::finish).collect();
         let (counts, light) = united(runs, &self.automaton);
@@ -136,7 +136,8 @@ fn lamp_set(prepared: &Prepared, vocabulary: &Vocabulary, light: u32) -> LabelSe
     vocabulary.set(&[&lamp.object, kind, &format!("{}/{kind}", lamp.object)])
 }
 
-/// Labels of a scene's lamps, each once: object and material, or photometric file, of what emits; a medium that glows by its name.
+/// Returns the labels of a scene's lamps, each once: object and material, or photometric file, of an emitter, and the names of
+/// emitting media.
 pub fn lamp_labels(scene: &Scene) -> Vec<String> {
     let object = |object: Option<ObjectId>| {
         object.and_then(|object| scene.objects.get(object.index())).map_or("", |object| &object.name)
@@ -157,14 +158,14 @@ pub fn lamp_labels(scene: &Scene) -> Vec<String> {
     emitting.chain(luminaires).chain(media).collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Refuses layers that name what the scene does not have.
+/// Checks that layers use only names that the scene has.
 pub(crate) fn unknown_label(scene: &Scene, layers: &[Layer]) -> Result<(), LayerError> {
     let expressions = parse_all(layers)?;
     let labels = || expressions.iter().flat_map(|it| it.events()).flat_map(|event| event.labels());
     if labels().next().is_none() {
         return Ok(());
     }
-    // Of a lamp the object, and what emits.
+    // Labels of a lamp: its object, and its material or file.
     let objects: BTreeSet<&str> = scene.objects.iter().map(|object| object.name.as_str()).collect();
     let emitting = scene.materials.iter().map(|it| &it.name).chain(scene.photometry.iter().map(|it| &it.path));
     let emitting: BTreeSet<&str> = emitting.map(String::as_str).collect();
@@ -190,7 +191,8 @@ pub(crate) fn unknown_label(scene: &Scene, layers: &[Layer]) -> Result<(), Layer
     Ok(())
 }
 
-/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, with its layers, and with light statistics if asked for.
+/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, with its layers, and with light statistics if
+/// requested.
 pub fn render_with_layers(
     prepared: &Prepared,
     settings: &Settings,
@@ -206,11 +208,11 @@ pub fn render_with_layers(
     Ok((rendered, plan.tile(rect, samples, recorders)?, statistics))
 }
 
-/// What is rendered: a frame, with what settings and statistics, which pixels and samples; what cancels it, and where it counts samples.
+/// Arguments of rendering: frame, settings, statistics, pixels, samples, cancellation flag, and counter of finished samples.
 type Task<'a> =
     (&'a Prepared, &'a Settings, Option<&'a StatisticsPlan>, Rect, Range<u32>, &'a AtomicBool, &'a AtomicU64);
 
-/// Renders samples of a tile with recorders of some kind; returns these in order, too.
+/// Renders samples of a tile with recorders of some kind, and returns the recorders in order, too.
 fn recorded<R: Recorder + Send>(
     (prepared, settings, statistics, rect, samples, cancel, progress): Task<'_>,
     recorder: impl Fn() -> R + Sync,
@@ -228,7 +230,7 @@ fn recorded<R: Recorder + Send>(
     }
 }
 
-/// Pixels of several runs of rows, one after the other.
+/// Concatenates the pixels of several runs of rows.
 fn united(runs: Vec<Pixels>, automaton: &Automaton) -> (Vec<[u32; HALVES]>, Vec<TakenLight>) {
     let (mut counts, mut light) = (Vec::new(), vec![Vec::new(); automaton.layers().len()]);
     for run in runs {

@@ -1,10 +1,10 @@
-//! Hears of samples while they are rendered, and adds their light to the layers that take it.
+//! Recording of samples during rendering, which adds their light to the layers that accept it.
 //!
-//! While a path is traced its events and its light are noted, no more; when the film has taken the sample the automaton goes over the notes. So
-//! the path loop calls nothing, and what the film refuses counts in no layer.
+//! While a path is traced, the recorder only notes its events and its light. When the film has accepted the sample, the automaton
+//! processes the notes. So the path loop makes no calls, and samples that the film rejects count in no layer.
 //!
-//! Light is added up by the set of layers that take it together ([`Takers`]), of which the expressions of a frame have few. So a sample
-//! of many layers costs hardly more than one of few.
+//! Light is summed by the set of layers that accept it together ([`Takers`]). The expressions of a frame have few such sets, so a
+//! sample in many layers costs hardly more than one in few.
 
 use super::LayerPlan;
 use femc_film::tile::{HALVES, half_of};
@@ -18,68 +18,68 @@ use femc_montecarlo::record::{
 };
 use femc_prepared::Prepared;
 
-/// Sums up the layers of the pixels that a tracer renders one after the other.
+/// Recorder that sums the layers of the pixels that a tracer renders one after the other.
 pub(super) struct LayerRecorder<'a> {
     plan: &'a LayerPlan,
     prepared: &'a Prepared,
     done: Pixels,
-    /// The pixel that is being rendered: its light by [`Takers`] and half, and its samples.
+    /// Current pixel: its light by [`Takers`] and half, and its samples.
     latest: Option<u32>,
     pixel: PixelLight,
     count: [u32; HALVES],
-    // Of the sample that is being traced:
+    // State of the current sample:
     half: usize,
-    /// Labels of the latest vertex, and how it scatters.
+    /// Labels of the latest vertex, and its kind of scattering.
     labels: Labels,
     split: Split,
     notes: Notes,
     ways: Ways,
 }
 
-/// Pixels that are done, one after the other.
+/// Finished pixels, one after the other.
 pub(super) struct Pixels {
-    /// Good samples.
+    /// Number of valid samples.
     pub(super) count: Vec<[u32; HALVES]>,
-    /// By [`Takers`]; what is missing at the end of one has no light.
+    /// Light by [`Takers`]. Missing entries at the end have no light.
     pub(super) light: Vec<Vec<LightSums>>,
 }
 
-/// Light of the samples of one pixel by [`Takers`], and those who have some.
+/// Light of the samples of one pixel by [`Takers`], and those that have light.
 struct PixelLight {
     light: Vec<LightBuffer>,
     lit: Vec<Takers>,
     is_lit: Vec<bool>,
 }
 
-/// What a path has done.
+/// Notes of a path.
 #[derive(Default)]
 struct Notes {
-    /// Its events; of a surface that has scattered it in two ways the diffuse one.
+    /// Events of the path. For a surface with both kinds of scattering, the event is the diffuse one.
     events: Vec<Symbol>,
     splits: Vec<Fork>,
     finds: Vec<Find>,
 }
 
-/// A surface that has scattered a path diffusely and about a direction.
+/// A surface that scattered a path both diffusely and around a direction.
 struct Fork {
     /// Number of the event.
     at: u32,
     glossy: Symbol,
-    /// By channel what is diffuse.
+    /// Diffuse share by channel.
     share: Rgb,
 }
 
 /// Light that a path has found.
 struct Find {
     color: Rgb,
-    /// Events of the path until then.
+    /// Number of events of the path up to then.
     at: u32,
-    /// What scatters the light to the path.
+    /// Event of the scatterer between the light and the path.
     scattered: Symbol,
     source: Symbol,
 }
 
-/// The states of a path that was split, and what share of its light is in each, by channel. Dead states are left out.
+/// States of a path that was split, with the share of its light in each, by channel. Dead states are omitted.
 #[derive(Default)]
 struct Ways {
     now: Vec<(State, Rgb)>,
@@ -131,7 +131,7 @@ impl<'a> LayerRecorder<'a> {
         }
     }
 
-    /// Notes light that comes to the path's latest surface from a lamp.
+    /// Notes light that arrives at the path's latest surface from a lamp.
     #[inline(always)]
     fn scattered(&mut self, color: Rgb, source: Symbol) {
         let [diffuse, glossy] = lobes(self.labels, self.split.transmitted);
@@ -142,11 +142,11 @@ impl<'a> LayerRecorder<'a> {
         }
     }
 
-    /// Adds the light of a path that is in one state at a time.
+    /// Adds the light of a path with one state at a time.
     fn add_all(&mut self) {
         let (automaton, half) = (&self.plan.automaton, self.half);
         let (mut state, mut at) = (automaton.start(), 0);
-        // Light that comes in succession to the same layers.
+        // Light for the same layers in succession.
         let (mut takers, mut light) = (NO_LAYERS, Rgb::ZERO);
         for find in &self.notes.finds {
             for event in self.notes.events.get(at..find.at as usize).unwrap_or_default() {
@@ -163,7 +163,7 @@ impl<'a> LayerRecorder<'a> {
         add(&mut self.pixel, takers, half, light);
     }
 
-    /// The same of a path that was split.
+    /// Adds the light of a path that was split.
     #[inline(never)]
     fn add_all_of_ways(&mut self) {
         let automaton = &self.plan.automaton;
@@ -189,7 +189,7 @@ impl<'a> LayerRecorder<'a> {
     }
 }
 
-/// Adds light of a sample to what layers take together.
+/// Adds light of a sample to the layers that accept it together.
 #[inline(always)]
 fn add(pixel: &mut PixelLight, takers: Takers, half: usize, light: Rgb) {
     if takers == NO_LAYERS {
@@ -202,7 +202,7 @@ fn add(pixel: &mut PixelLight, takers: Takers, half: usize, light: Rgb) {
     pixel.light[usize::from(takers)].add(half, light);
 }
 
-/// Events of a surface's lobes: diffuse, glossy.
+/// Returns the events of a surface's lobes: diffuse, glossy.
 #[inline]
 fn lobes(labels: Labels, transmitted: Transmitted) -> [Symbol; 2] {
     let kinds = match transmitted {
@@ -245,7 +245,7 @@ impl Ways {
         }
     }
 
-    /// Takes all on by these events, each with its share.
+    /// Advances all states by these events, each with its share.
     fn step(&mut self, events: &[(Symbol, Rgb)], next: impl Fn(State, Symbol) -> State) {
         std::mem::swap(&mut self.now, &mut self.before);
         self.now.clear();
@@ -327,7 +327,7 @@ impl Recorder for LayerRecorder<'_> {
         }
         let lamp = self.plan.lamp(light).event(Kind::Light);
         match found {
-            // The field ends paths of the method `fem` alone, which has no layers.
+            // The field ends paths only with the method `fem`, which has no layers.
             Found::Sight | Found::Met | Found::Field => self.notes.find(color, Symbol::NONE, lamp),
             Found::Surface => self.scattered(color, lamp),
             Found::Airlight(medium) => {
@@ -343,7 +343,7 @@ impl Recorder for LayerRecorder<'_> {
 
     #[inline]
     fn end(&mut self, color: Option<Rgb>) {
-        // What the film refuses counts in no layer, either.
+        // Samples that the film rejects do not count in any layer either.
         if color.is_none() {
             return;
         }

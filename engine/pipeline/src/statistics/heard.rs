@@ -6,10 +6,10 @@ use femc_paths::{Counters, Path, PathKey};
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap};
 
-/// What was heard of some samples.
+/// Data recorded of some samples.
 pub(super) struct Heard {
     pub(super) counters: [Counters; 2],
-    /// Of each half, in the order in which they were rendered: row by row.
+    /// Sums of the pixels of each half, in the order of rendering: row by row.
     pub(super) pixels: [Vec<PixelSums>; 2],
     pub(super) paths: Vec<Path>,
     pub(super) bright: Tops,
@@ -39,11 +39,11 @@ impl Heard {
     }
 }
 
-/// The keys of greatest rank of each half; of equal ranks those of least hash.
+/// Keys of greatest rank of each half. Among equal ranks, those of least hash.
 #[derive(Default)]
 pub(super) struct Tops([BinaryHeap<Reverse<Ranked>>; 2]);
 
-/// The bits of a number that is not negative are in its order.
+/// Key with its rank, as the bits of a non-negative number, which are in the same order.
 type Ranked = (u32, Reverse<(u64, PathKey)>);
 
 impl Tops {
@@ -51,7 +51,7 @@ impl Tops {
     pub(super) fn offer(&mut self, rank: f32, hash: u64, key: PathKey) {
         let half = &mut self.0[usize::from(key.half())];
         let ranked = (rank.to_bits(), Reverse((hash, key)));
-        // Of equal ranks, like those of all samples that are black, few are of the least hashes.
+        // Among equal ranks, like those of all black samples, only few keys have the least hashes.
         if half.len() < TOP as usize || half.peek().is_none_or(|Reverse(least)| ranked > *least) {
             Self::push(half, ranked);
         }

@@ -1,11 +1,12 @@
 //! Light statistics of the samples that a task renders.
 //!
-//! Every sample is counted; the few that are chosen by their hash are recorded whole while they are rendered. The brightest and the deepest
-//! are known only when all are done: they are traced again then, as any sample can be.
+//! Every sample is counted. The few that are chosen by their hash are fully recorded while they are rendered. The brightest and the
+//! deepest are known only at the end. They are then traced again, as any sample can be.
 //!
-//! What is chosen is a function of the settings: of all samples that a frame may have at the end of a round about as many records as it keeps,
-//! but no more than one sample in 256, so that recording takes no more than some hundredths of the time, nor fewer than 5,000, which
-//! take a twentieth of a second. A task of a later round keeps a smaller share, and the least share holds for the frame.
+//! The choice is a function of the settings. The target is about as many records as a frame keeps, of all samples that the frame
+//! may have at the end of a round. There is an upper limit of one sample in 256, so that recording takes no more than a few percent
+//! of the time, and a lower limit of 5,000 records, which take a twentieth of a second. A task of a later round keeps a smaller
+//! share. The least share applies to the frame.
 
 mod heard;
 mod names;
@@ -25,25 +26,25 @@ use recorder::PathRecorder;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// Records that a frame keeps: 16 for each of the 5,000 of a representative set.
+/// Number of records that a frame keeps: 16 for each of the 5,000 of a representative set.
 const KEEP: u32 = 16 * 5000;
-/// Records of each sketch for each half of a tile.
+/// Number of records of each sketch for each half of a tile.
 const TOP: u32 = 16;
-/// Most records that are chosen, as a share of all samples: to record a path, to pack it and to unite it takes as long as to trace five
-/// ordinary ones of a cheap scene.
+/// Maximum share of records in all samples. Recording, packing and uniting a path takes as long as tracing five ordinary ones of a
+/// cheap scene.
 const MOST: f64 = 1.0 / 256.0;
-/// Records that are chosen in any case: as many as one representative set has.
+/// Minimum number of records, equal to the size of one representative set.
 const LEAST: f64 = 5000.0;
 
-/// What a frame's statistics are.
+/// Configuration of a frame's statistics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StatisticsPlan {
-    /// What they are of.
+    /// Frame and settings of the statistics.
     pub scope: Scope,
 }
 
 impl StatisticsPlan {
-    /// Of a frame.
+    /// Creates the configuration for a frame.
     /// - `edge`: width and height of its tiles, pixels.
     pub fn of(prepared: &Prepared, settings: &Settings, edge: u32) -> Self {
         let bounds = prepared.world.bounds();
@@ -53,7 +54,7 @@ impl StatisticsPlan {
         Self { scope: Scope { seed, frame, film, edge, lower, upper, keep: KEEP, top: TOP, is_full } }
     }
 
-    /// Share of the samples whose paths are recorded by a task.
+    /// Returns the share of the samples whose paths a task records.
     fn share(&self, settings: &Settings, samples: &Range<u32>) -> f64 {
         let rounds = settings.rounds();
         let end = rounds.into_iter().find(|end| *end >= samples.end).unwrap_or(samples.end);
@@ -63,7 +64,8 @@ impl StatisticsPlan {
     }
 }
 
-/// A box made larger to a multiple of a sixteenth of its size, rounded to a power of two: the same for worlds that differ a little.
+/// Enlarges a box to multiples of a power of two that is a sixteenth to an eighth of its size, so that worlds with small
+/// differences get the same box.
 fn rounded(lower: [f64; 3], upper: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     let size = (0..3).map(|axis| upper[axis] - lower[axis]).fold(0.0, f64::max);
     if !size.is_finite() || size <= 0.0 {
@@ -79,7 +81,7 @@ fn rounded(lower: [f64; 3], upper: [f64; 3]) -> ([f64; 3], [f64; 3]) {
     (lower.map(|x| (x / step).floor() * step), upper.map(|x| (x / step).ceil() * step))
 }
 
-/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, and says what is known of them.
+/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, and returns their statistics.
 pub fn render_with_statistics(
     prepared: &Prepared,
     settings: &Settings,
@@ -93,7 +95,7 @@ pub fn render_with_statistics(
     outcome.map(|(rendered, statistics, _)| (rendered, statistics))
 }
 
-/// The same beside recorders of another kind; returns these in order, too.
+/// Renders samples with statistics and with recorders of another kind. Returns these in order, too.
 pub(crate) fn render_with_statistics_and<R: Recorder + Send>(
     prepared: &Prepared,
     settings: &Settings,
@@ -106,7 +108,7 @@ pub(crate) fn render_with_statistics_and<R: Recorder + Send>(
 ) -> Result<(RenderedTile, Statistics, Vec<R>), RenderError> {
     let names = SceneNames::new(prepared);
     let mut statistics = Statistics::new(plan.scope, plan.share(settings, &samples));
-    // What is traced again is counted already.
+    // Samples that are traced again are counted already.
     let again = Scope { is_full: false, ..plan.scope };
     let recorder = || Both::new(PathRecorder::new(&names, statistics.threshold, plan.scope), other());
     let (rendered, heard) = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
@@ -124,7 +126,7 @@ pub(crate) fn render_with_statistics_and<R: Recorder + Send>(
     }
     let order = |path: Path| ((path.key.hash(plan.scope.seed), path.key), path);
     statistics.paths.extend(all.paths.drain(..).map(order));
-    // Everything is wanted of what is traced again.
+    // All samples that are traced again are recorded.
     let mut replay = Replay::recording(prepared, settings, PathRecorder::new(&names, u64::MAX, again));
     let [bright, deep] = [all.bright, all.deep].map(Tops::keys);
     let width = plan.scope.film[0];
@@ -141,7 +143,7 @@ pub(crate) fn render_with_statistics_and<R: Recorder + Send>(
             statistics.deepest.insert(key, path);
         }
     }
-    // Those that no record has go when the statistics settle.
+    // Settling the statistics drops names that no record uses.
     statistics.names = names.texts();
     statistics.settle();
     Ok((rendered, statistics, others))

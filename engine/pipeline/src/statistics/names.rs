@@ -1,4 +1,4 @@
-//! What the parts of a scene are called in light statistics.
+//! Names of the parts of a scene in light statistics.
 
 use femc_paths::record::Names;
 use femc_paths::{Kind, Name};
@@ -6,7 +6,7 @@ use femc_prepared::Prepared;
 use femc_scene::{LampKind, ObjectId};
 use std::sync::OnceLock;
 
-/// Keys of what a scene's parts are called, each made when it is first wanted.
+/// Keys of the names of a scene's parts, each created on first use.
 pub(super) struct SceneNames<'a> {
     pub(super) prepared: &'a Prepared,
     objects: Vec<OnceLock<Name>>,
@@ -44,7 +44,7 @@ impl<'a> SceneNames<'a> {
         name(&self.lamps, light as usize, || Name::of(Kind::Lamp, &self.lamp_text(light)))
     }
 
-    /// The object that holds a lamp, and what emits: its material, or its file.
+    /// Returns the name of a lamp: the object that holds it, and its material or file.
     fn lamp_text(&self, light: u32) -> String {
         let lamp = self.prepared.lamp_name(light);
         let kind = match lamp.kind {
@@ -55,7 +55,7 @@ impl<'a> SceneNames<'a> {
         format!("{}/{kind}", lamp.object)
     }
 
-    /// The texts of all names that were wanted.
+    /// Returns the texts of all used names.
     pub(super) fn texts(&self) -> Names {
         let prepared = self.prepared;
         let object = |index: usize| prepared.scene.objects[index].name.clone();

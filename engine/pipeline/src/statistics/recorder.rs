@@ -1,4 +1,4 @@
-//! Hears of samples while they are rendered.
+//! Recorder of light statistics during rendering.
 
 use super::heard::Heard;
 use super::names::SceneNames;
@@ -14,25 +14,25 @@ use femc_paths::record::{MOST_INTERSECTIONS, MOST_LIGHTS};
 use femc_paths::statistics::DEEP;
 use femc_paths::{End, Found, Interaction, Intersection, Light, Name, Path, PathKey, Scope};
 
-/// A lamp that was looked for: its contribution, the vertices until then, what hides it.
+/// Light sampled or hit by a path: its contribution, the number of vertices up to then, and its occluder.
 type Looked = (Contribution, usize, Option<Name>);
 
-/// Hears of samples, and keeps what is wanted of them.
+/// Recorder that keeps the requested data of samples.
 pub(super) struct PathRecorder<'a> {
     names: &'a SceneNames<'a>,
     threshold: u64,
     scope: Scope,
     pub(super) heard: Heard,
-    // Of the sample that is being traced:
+    // State of the current sample:
     key: PathKey,
     hash: u64,
-    /// What the hashes of its pixel's samples begin with.
+    /// Common hash state of its pixel's samples.
     pixel_hash: Begun,
     /// Whether its path is recorded.
     is_kept: bool,
-    /// Whether all is heard of it: it is recorded, or all are counted.
+    /// Whether all its events are needed: it is recorded, or all samples are counted in the histograms.
     is_wanted: bool,
-    /// The one of its pixel.
+    /// Current pixel.
     latest: Option<u32>,
     depth: u32,
     stop: (Stop, Rgb),
@@ -62,7 +62,7 @@ impl<'a> PathRecorder<'a> {
         }
     }
 
-    /// The object of the first thing on a shadow ray that lets nothing through.
+    /// Returns the object of the first surface on a shadow ray that transmits nothing.
     fn occluder(&self, mut ray: Ray) -> Option<Name> {
         let prepared = self.names.prepared;
         for _ in 0..CLEAR_SURFACES {
@@ -86,7 +86,7 @@ impl<'a> PathRecorder<'a> {
         self.heard.pixels.iter_mut().for_each(|pixels| pixels.push(PixelSums::default()));
     }
 
-    /// Takes the sample's whole path in.
+    /// Records the whole path of the sample.
     #[cold]
     fn record(&mut self, color: Rgb) {
         let path = self.path(color);
@@ -109,7 +109,7 @@ impl<'a> PathRecorder<'a> {
             intersections: self.steps.iter().map(|(vertex, leaving)| self.intersection(vertex, *leaving)).collect(),
             lights: self.lights.iter().map(|looked| self.light_of(looked)).collect(),
         };
-        // Emission of the vertex itself is told of before the vertex is.
+        // The emission of a vertex is reported before the vertex itself.
         let own = |index: usize| {
             let before =
                 self.lights.iter().rev().skip_while(|light| light.1 > index).take_while(|light| light.1 == index);
@@ -118,7 +118,7 @@ impl<'a> PathRecorder<'a> {
         };
         let sent = path.sent(|index| own(index).is_some());
         path.intersections.iter_mut().zip(sent).for_each(|(it, sent)| it.radiance = sent);
-        // The path has left all its vertices but the last.
+        // The path has left all its vertices except the last.
         if let (Some(last), Some((_, None))) = (path.intersections.last_mut(), self.steps.last())
             && own(self.steps.len() - 1).is_some_and(|own| own.color != Rgb::ZERO)
         {
@@ -175,7 +175,7 @@ impl<'a> PathRecorder<'a> {
     }
 }
 
-/// Clear surfaces that are looked through for what hides a lamp.
+/// Maximum number of clear surfaces to pass in the search for an occluder.
 const CLEAR_SURFACES: usize = 256;
 
 fn end(stop: Stop) -> End {

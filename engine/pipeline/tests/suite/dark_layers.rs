@@ -1,9 +1,9 @@
-//! Layers that stay black are named, and layers that have light are never named: over scenes and expressions, by rendering.
+//! Tests that layers without light are reported, and layers with light never are, for many scenes and expressions, by rendering.
 
 use crate::layers::{rendered_colors, scene};
 use femc_pipeline::{Layer, Method, Settings, Stop, dark_layers};
 
-/// A floor, a ball and a lamp in one view; what is between the lines differs.
+/// A floor, a ball and a lamp in one view. The parts between the lines differ.
 const FRAME: &str = "\
 camera main =
 	origin 0 -4 2
@@ -21,7 +21,7 @@ sph o .3
 o
 ";
 
-/// A floor of this material, and a ball of that one, in objects.
+/// Returns a scene with a floor of one material and a ball of another, in objects.
 fn with(floor: &str, ball: &str, more: &str) -> String {
     format!(
         "{FRAME}m floor =\n{floor}m ball =\n{ball}v a =\n\tp -4 -4 0\nv b =\n\tp 4 -4 0\nv c =\n\tp 4 4 0\nv d =\n\tp -4 4 0\n\
@@ -121,7 +121,8 @@ fn a_layer_is_named_as_black_only_if_it_is_and_each_layer_with_light_is_not() {
                     assert!(!(has_light && is_named.is_some()), "{title}, {expression}, {max_depth}: {is_named:?}");
                     named += usize::from(is_named.is_some());
                     lit += usize::from(has_light);
-                    // A layer that is black in such a small, well lit scene has a reason, unless light is blocked or samples are too few.
+                    // If a layer is black in such a small, well lit scene, there is a reason, unless light is blocked or samples
+                    // are too few.
                     if !has_light && is_named.is_none() {
                         println!("{title}, {expression}, depth {max_depth}, frame {frame}: black by chance");
                     }

@@ -1,4 +1,4 @@
-//! Features of rendered tiles, against what is known of simple scenes.
+//! Tests of features of rendered tiles against known values of simple scenes.
 
 use femc_film::tile::OPEN;
 use femc_film::{BesidePiece, BesideTile, FeatureImage, Rect, Tiling};
@@ -12,13 +12,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// A camera 4 m above the ground that looks down on 4 m x 4 m of it: 0.5 m a pixel; x is to the right, y up.
+/// A camera 4 m above the ground that looks down on 4 m x 4 m of it: 0.5 m a pixel; x points right, y up.
 const DOWN: &str =
     "camera main =\n\torigin 100 20 4\n\ttarget 100 20 0\n\tup 0 1 0\n\tfov 53.13010235415598\n\tfilm 8 8\n";
-/// A lamp, out of sight.
+/// A lamp outside the view.
 const LAMP: &str = "m glow =\n\ted 100\nv l =\n\tp 100 20 9\no lamp\nm glow\nsph l .2\no\n";
 
-/// A rectangle of the ground from (x, y) to (x, y) around the middle, as an object, at a height.
+/// Returns a rectangle of the ground as an object at a height, from (x0, y0) to (x1, y1) relative to the center.
 fn sheet(name: &str, material: &str, [x0, y0, x1, y1]: [f64; 4], z: f64) -> String {
     let corner = |n: &str, x: f64, y: f64| format!("v {n} =\n\tp {} {} {z}\n", 100.0 + x, 20.0 + y);
     let corners = [corner("a", x0, y0), corner("b", x1, y0), corner("c", x1, y1), corner("d", x0, y1)].concat();
@@ -51,7 +51,7 @@ fn tile(prepared: &Prepared, settings: &Settings) -> BesideTile {
     render_beside(prepared, settings, plans, None, rect, 0..spp, &cancel, &AtomicU64::new(0)).unwrap().1
 }
 
-/// The features of a frame, channel by channel.
+/// Returns the features of a frame by channel.
 fn features(text: &str, settings: &Settings, frame: u32) -> BTreeMap<String, Vec<f32>> {
     let prepared = world(text, settings, frame);
     let [width, height] = prepared.camera.film;
@@ -62,7 +62,7 @@ fn features(text: &str, settings: &Settings, frame: u32) -> BTreeMap<String, Vec
     feature_channels(&settings.features).into_iter().zip(image.channels).collect()
 }
 
-/// Where pixel (`x`, `y`) is in a row of 8.
+/// Returns the index of pixel (`x`, `y`) with rows of 8.
 fn at(x: usize, y: usize) -> usize {
     8 * y + x
 }
@@ -81,13 +81,13 @@ fn of_a_plane_depth_position_normal_and_albedo_are_known() {
         assert_eq!(value("coverage.A"), 1.0);
         assert!((value("depth.Z") - 4.0).abs() < 1e-5, "{}", value("depth.Z"));
         assert!(value("position.Z").abs() < 1e-5);
-        // 64 stratified samples a pixel: the mean place is that of the pixel's middle to a fiftieth of a pixel.
+        // 64 stratified samples a pixel: the mean position is that of the pixel's center to a fiftieth of a pixel.
         let [px, py] = [100.0 - 1.75 + 0.5 * x as f64, 20.0 + 1.75 - 0.5 * y as f64];
         assert!((value("position.X") - px).abs() < 0.01, "{} {px}", value("position.X"));
         assert!((value("position.Y") - py).abs() < 0.01, "{} {py}", value("position.Y"));
         assert!(["albedo.R", "albedo.G", "albedo.B"].iter().all(|name| (value(name) - 0.4).abs() < 1e-3));
     }
-    // From below: the normal is on the side of the camera.
+    // From below, the normal is on the side of the camera.
     let below = text.replace("origin 100 20 4", "origin 100 20 -4");
     assert!(features(&below, &settings, 1)["normal.Z"].iter().all(|z| *z == -1.0));
 }
@@ -95,7 +95,7 @@ fn of_a_plane_depth_position_normal_and_albedo_are_known() {
 #[test]
 fn a_pixel_that_is_half_covered_says_so_and_its_means_are_of_that_half() {
     let settings = settings(&[Feature::Depth], 256);
-    // To the middle of the fifth column; 1 m high, so that it seems larger by 4/3.
+    // Up to the middle of the fifth column. At a height of 1 m it looks larger by 4/3.
     let text = format!("{DOWN}{MATTE}{}{LAMP}", sheet("board", "matte", [-9.0, -9.0, 0.75 * 0.25, 9.0], 1.0));
     let found = features(&text, &settings, 1);
     for y in 0..8 {
@@ -122,7 +122,7 @@ fn fog_is_no_surface_a_mirror_is_one_and_a_pane_is_so_in_the_share_of_what_it_re
     let edge = features(&above("edge"), &settings, 1);
     assert!(edge["depth.Z"].iter().all(|depth| (depth - 4.0).abs() < 1e-5));
     let pane = features(&above("pane"), &settings, 1);
-    // A seventh is the pane's, the rest the ground's.
+    // The share of the pane is a seventh, the rest is the ground.
     let [share, depth, albedo] = [1.0 / 7.0, mean(&pane["depth.Z"]), mean(&pane["albedo.G"])];
     assert!((depth - (3.0 * share + 4.0 * (1.0 - share))).abs() < 0.01, "{depth}");
     assert!((albedo - (0.1 * share + 0.4 * (1.0 - share))).abs() < 0.01, "{albedo}");
@@ -158,12 +158,13 @@ fn features_change_no_sample_no_layer_and_no_statistics_nor_these_them() {
         }
     }
     assert!(seen.iter().all(|features| *features == seen[0]));
-    // Light of elements has features, though it has no layers.
+    // The method `fem` has features, though it has no layers.
     let fem = Settings { method: Method::Fem, ..only.clone() };
     assert_eq!(features(&text, &fem, 1), features(&text, &only, 1));
 }
 
-/// Motion of a pixel and its mean position on the ground from the middle of the picture, x to the right, y down, m.
+/// Returns the motion of a pixel and its mean position on the ground, relative to the center of the picture, x to the right, y
+/// down, m.
 fn motion_and_place(found: &BTreeMap<String, Vec<f32>>, pixel: usize) -> ([f64; 2], [f64; 2]) {
     let value = |name: &str| f64::from(found[name][pixel]);
     let place = [value("position.X") - 100.0, 20.0 - value("position.Y")];
@@ -173,7 +174,7 @@ fn motion_and_place(found: &BTreeMap<String, Vec<f32>>, pixel: usize) -> ([f64; 
 #[test]
 fn a_thing_that_moves_has_its_motion_to_the_next_frame_and_what_stands_has_none() {
     let settings = settings(&[Feature::Position, Feature::Motion], 16);
-    // In a quarter of a second 0.25 m to the right and 0.125 m up the picture, 3 m away: 0.375 m a pixel.
+    // In a quarter of a second it moves 0.25 m to the right and 0.125 m up the picture, at a distance of 3 m: 0.375 m a pixel.
     let board = sheet("board", "matte", [-0.7, -0.7, 0.7, 0.7], 1.0);
     let ground = sheet("ground", "matte", [-9.0, -9.0, 9.0, 9.0], 0.0);
     let text = format!(
@@ -205,12 +206,12 @@ fn a_thing_that_moves_has_its_motion_to_the_next_frame_and_what_stands_has_none(
 fn a_thing_that_turns_and_a_camera_that_rises_move_each_point_as_geometry_says() {
     let settings = settings(&[Feature::Position, Feature::Motion], 16);
     let ground = sheet("ground", "matte", [-9.0, -9.0, 9.0, 9.0], 0.0);
-    // 4 m away, 0.5 m a pixel: by 22.5 degrees from one frame to the next, counterclockwise.
+    // At 4 m, 0.5 m a pixel: a rotation by 22.5 degrees from one frame to the next, counterclockwise.
     let turning = format!(
         "time 0 1 4\n{DOWN}{MATTE}{LAMP}path turn = linear\n\tkey 0 -rz 0 -t 100 20 0\n\tkey 1 -rz 90 -t 100 20 0\nxf -path turn\nxf -t -100 -20 0\n{ground}xf\nxf\n"
     );
     let (sin, cos) = (double::sin(22.5f64.to_radians()), double::cos(22.5f64.to_radians()));
-    // By 1 m.
+    // A rise by 1 m.
     let rising = format!(
         "time 0 1 4\npath lift = linear\n\tkey 0 -t 0 0 0\n\tkey 1 -t 0 0 4\n{}\talong lift\n{MATTE}{ground}{LAMP}",
         DOWN
@@ -219,7 +220,7 @@ fn a_thing_that_turns_and_a_camera_that_rises_move_each_point_as_geometry_says()
         let found = [features(&turning, &settings, frame), features(&rising, &settings, frame)];
         for pixel in 0..64 {
             let (turned, [x, y]) = motion_and_place(&found[0], pixel);
-            // Rows go down: counterclockwise in the world is so in the picture.
+            // Rows run downward. Counterclockwise in the world is counterclockwise in the picture.
             let wanted = [x * cos + y * sin - x, y * cos - x * sin - y].map(|m| m / 0.5);
             assert!((0..2).all(|axis| (turned[axis] - wanted[axis]).abs() < 1e-3), "{turned:?}, not {wanted:?}");
             let (risen, place) = motion_and_place(&found[1], pixel);
@@ -244,7 +245,7 @@ fn what_moves_with_the_camera_stands_in_the_picture_through_shutter_and_lens() {
         found["motion.X"].iter().chain(&found["motion.Y"]).fold(0f32, |most, motion| most.max(motion.abs()))
     };
     let with = features(&text("\talong ride\n"), &settings, 2);
-    // The tracer has chords of the spline, the camera more of them than things.
+    // The tracer approximates the spline by chords. The camera's chords are finer than those of objects.
     assert!(largest(&with) < 3e-3, "{}", largest(&with));
     let without = features(&text(""), &settings, 2);
     assert!(largest(&without) > 0.1, "{}", largest(&without));
@@ -270,7 +271,7 @@ fn frames_that_move_on_in_other_ways_are_other_frames_only_where_motion_is_asked
     assert_eq!([1, 2, 3, 4].map(|frame| same(&[Feature::Motion], frame)), [true, true, false, false]);
 }
 
-/// Ids and shares of a pixel in a Cryptomatte, by rank.
+/// Returns the ids and shares of a pixel in a Cryptomatte, by rank.
 fn ranks(found: &BTreeMap<String, Vec<f32>>, matte: &str, pixel: usize) -> Vec<(u32, f32)> {
     let value = |number: usize, part: &str| found[&format!("{matte}{number:02}.{part}")][pixel];
     let pair = |number, id, share| (value(number, id).to_bits(), value(number, share));
@@ -281,7 +282,7 @@ fn ranks(found: &BTreeMap<String, Vec<f32>>, matte: &str, pixel: usize) -> Vec<(
 fn objects_and_materials_are_mattes_whose_shares_are_those_of_the_samples() {
     let settings = settings(&[Feature::Object, Feature::Material, Feature::Depth], 256);
     let board = sheet("left.board", "matte", [-9.0, -9.0, 0.25, 9.0], 0.0);
-    // What is in no object, and has a material without a name; of the sixth column the second half, and more.
+    // A surface in no object with an unnamed material. It covers the second half of the sixth column, and more.
     let bare = "m\n\trd .2\nv a =\n\tp 100.75 0 0\nv b =\n\tp 109 0 0\nv c =\n\tp 109 40 0\nv d =\n\tp 100.75 40 0\nf a b c d\n";
     let text = format!("{DOWN}{MATTE}o left\n{}o\n{bare}{LAMP}", board.replace("left.board", "board"));
     let found = features(&text, &settings, 1);

@@ -1,4 +1,4 @@
-//! Layers of rendered tiles.
+//! Tests of layers of rendered tiles.
 
 use femc_film::tile::OPEN;
 use femc_film::{FilmError, Frame, FrameImage, LayerImage, LayerPiece, Rect, Tiling};
@@ -12,7 +12,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// A floor that is matte and glossy, a mirror ball, a plate of colored glass, a sheet that scatters light through, two lamps, thin fog.
+/// A floor that is matte and glossy, a mirror ball, a plate of colored glass, a sheet that transmits diffusely, two lamps, thin
+/// fog.
 const ROOM: &str = "\
 camera main =
 	origin 0 -3 1
@@ -114,7 +115,7 @@ fn world(text: &str, settings: &Settings) -> Prepared {
     prepare(&source, settings, 1, None).unwrap()
 }
 
-/// Whether each layer of a frame of a scene has light.
+/// Returns, for each layer of a frame of a scene, whether it has light.
 pub fn rendered_colors(text: &str, settings: &Settings, frame: u32) -> Vec<bool> {
     let source = Source::new(Arc::new(scene(text)));
     let prepared = prepare(&source, settings, frame, None).unwrap();
@@ -136,7 +137,7 @@ fn lamps(prepared: &Prepared) -> Vec<String> {
     lamp_labels(&prepared.scene)
 }
 
-/// The picture of a world and its layers.
+/// Renders the picture of a world and its layers.
 fn rendered(prepared: &Prepared, settings: &Settings) -> Result<(FrameImage, Vec<LayerImage>), FilmError> {
     let [width, height] = prepared.camera.film;
     let (tiling, rect) = (Tiling::new(width, height, 64)?, Rect { x: 0, y: 0, width, height });
@@ -164,11 +165,11 @@ fn sum(image: &LayerImage) -> f64 {
     image.color.as_flattened().iter().map(|value| f64::from(*value)).sum()
 }
 
-/// What sums of floats may be off by, of the sum: a path in the fog here finds light some 400 times, and its sum is off by 2e-6 (each
+/// Maximum relative error of sums of floats: a path in the fog here finds light some 400 times, and its sum is off by 2e-6 (each
 /// addition by 6e-8 at most).
 const ROUNDING: f64 = 4e-6;
 
-/// The layers `names` sum up to the picture, pixel by pixel; all of them have light.
+/// Checks that the layers `names` sum up to the picture, pixel by pixel, and that all of them have light.
 fn part(image: &FrameImage, layers: &[LayerImage], names: &[&str]) {
     let parts: Vec<&LayerImage> = layers.iter().filter(|layer| names.contains(&layer.name.as_str())).collect();
     assert_eq!(parts.len(), names.len());
@@ -193,7 +194,7 @@ fn layers_that_part_the_paths_sum_up_to_the_picture_whose_samples_are_those_with
             let presets = [Preset::Direct, Preset::Indirect, Preset::Lamps, Preset::Guides];
             let mut layers: Vec<Layer> =
                 presets.iter().flat_map(|preset| preset.layers(labels.iter().copied()).unwrap()).collect();
-            // By the first event: the lamp itself, a lobe of a surface, the fog.
+            // Layers by the first event: the lamp itself, a lobe of a surface, the fog.
             let first = [
                 ("seen", "CL"),
                 ("diffuse", "C<RD>.*"),
@@ -240,7 +241,7 @@ fn labels_that_the_scene_does_not_have_are_refused_before_anything_runs() {
     assert!(plan(&scene, &settings(layers, Method::Fem), None).is_err_and(|e| e.to_string().contains("`femc`")));
 }
 
-/// A box of gas that glows, a wall behind it, and a lamp that the camera does not see.
+/// A box of gas that emits light, a wall behind it, and a lamp that the camera does not see.
 const GAS: &str = "\
 camera main =
 	origin .5 -9 .5
@@ -293,14 +294,14 @@ fn light_of_a_medium_that_glows_is_that_of_an_object() {
     let settings = settings(layers, Method::Pt);
     let (image, layers) = rendered(&world(GAS, &settings), &settings).unwrap();
     let layer = |name: &str| layers.iter().find(|layer| layer.name == name).unwrap();
-    // What a meter of gas emits and does not absorb: emission over extinction, for what it is thick.
+    // Light emitted and not absorbed by a meter of gas: emission over extinction, times 1 - exp(-optical thickness).
     let seen = 40.0 / (4.0 * std::f32::consts::PI * 2.0) * (1.0 - femc_math::elementary::exp(-2.0));
     for color in layer("seen").color.as_flattened() {
         assert!((color / seen - 1.0).abs() < 1e-3, "{color}, not {seen}");
     }
     assert_eq!(layer("named").color, layer("seen").color);
     assert_eq!(sum(layer("others")), 0.0);
-    // The wall is lit by both, through the gas.
+    // Both light the wall through the gas.
     part(&image, &layers, &["glow", "lamps"]);
     part(&image, &layers, &["seen", "lit_by_gas", "lit_by_lamp"]);
     part(&image, &layers, &["lamp_gas", "lamp_lamp_lamp"]);

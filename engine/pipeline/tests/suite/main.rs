@@ -1,4 +1,4 @@
-//! The pipeline on small scenes.
+//! Tests of the pipeline on small scenes.
 
 mod dark_layers;
 mod features;

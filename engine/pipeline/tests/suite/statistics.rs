@@ -1,4 +1,4 @@
-//! Light statistics of rendered tiles.
+//! Tests of light statistics of rendered tiles.
 
 use femc_film::{Rect, Tiling};
 use femc_import::{Bundle, load};
@@ -12,7 +12,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// A room with a mirror ball and a plate above a white floor, lit by a lamp that the plate hides from a part of it.
+/// A room with a mirror ball and a plate above a white floor. The plate hides the lamp from a part of the floor.
 const ROOM: &str = "\
 camera main =
 	origin 0 -3 1
@@ -93,7 +93,7 @@ fn rendered(prepared: &Prepared, settings: &Settings, rect: Rect, samples: Range
     (rendered.tile.encode(), statistics)
 }
 
-/// The statistics of a frame whose tiles have tasks that end at these samples each.
+/// Returns the statistics of a frame, rendered tile by tile in tasks that end at these samples.
 fn whole(prepared: &Prepared, settings: &Settings, ends: &[u32]) -> Statistics {
     let ranges = || [0].iter().chain(ends).zip(ends).map(|(begin, end)| *begin..*end);
     let tasks = tiling(prepared).rects().flat_map(|rect| ranges().map(move |range| (rect, range)));
@@ -141,7 +141,7 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
             let is_near = |a: f64, b: f32| (a - f64::from(b)).abs() <= 1e-4 * a.abs() + 1e-6;
             let lights = sum(&mut path.lights.iter().map(|light| f64::from(light.radiance[1])));
             assert!(is_near(lights, path.radiance[1]), "{path:?}");
-            // What comes to the camera is what its first vertex sends and what was found before it.
+            // The light at the camera is the radiance that leaves the first vertex plus the light found before it.
             if let Some(first) = path.intersections.first() {
                 let early = path.lights.iter().filter(|light| light.vertex == 0);
                 let own = recording
@@ -207,7 +207,7 @@ fn light_scattered_in_fog_names_the_fog_and_what_hides_the_lamp_from_it() {
     let in_fog = || lights().filter(|light| light.found == Found::Airlight);
     assert!(in_fog().all(|light| light.medium == fog));
     assert!(lights().all(|light| light.found == Found::Airlight || light.medium == Name::NONE));
-    // Light that is hidden adds nothing, and something opaque is in the way of all that adds nothing and could have.
+    // Occluded light contributes nothing, and all light that contributes nothing but could have is occluded by something opaque.
     assert!(in_fog().all(|light| light.occluder.is_none() || light.radiance == [0.0; 3]));
     let [hidden, plates] = [|_: Name| true, |it: Name| it == Name::of(Kind::Object, "plate")]
         .map(|is| in_fog().filter(|light| light.occluder.is_some_and(is)).count());
@@ -221,7 +221,7 @@ fn light_scattered_in_fog_names_the_fog_and_what_hides_the_lamp_from_it() {
 
 #[test]
 fn a_sample_that_the_film_refuses_is_in_no_statistic() {
-    // The largest radiance that the film takes is 1.1e12 cd/m2.
+    // The film accepts radiance up to 1.1e12 cd/m2.
     let (settings, text) = (settings(), ROOM.replace("ed 500", "ed 5e13"));
     let prepared = prepared(&text, &settings);
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));

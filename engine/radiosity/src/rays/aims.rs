@@ -1,4 +1,4 @@
-//! Where later rays go, by what earlier ones have found.
+//! Guides for later rays, from the results of earlier ones.
 
 use crate::arena::Arena;
 use femc_field::{Block, Directions, Guide, Lobe, NONE, SurfaceSpot};
@@ -6,11 +6,11 @@ use femc_math::glam::Vec3A;
 use std::collections::HashMap;
 use std::f32::consts::PI;
 
-/// Where a share of a leaf's rays goes.
+/// Guide for a share of a leaf's rays.
 #[derive(Clone, Debug)]
 pub struct Aim(Option<(Block, f32)>);
 
-/// By element where a share of its rays goes.
+/// Guides for a share of the rays, by element.
 #[derive(Clone, Debug, Default)]
 pub struct Aims {
     of: Vec<u32>,
@@ -18,7 +18,8 @@ pub struct Aims {
 }
 
 impl Aims {
-    /// - `of`: by leaf in this order of `leaves`.
+    /// Creates the guides.
+    /// - `of`: guide of each leaf, in the order of `leaves`.
     pub fn new(arena: &Arena, leaves: &[u32], of: &[Guide], lobes: &[Lobe]) -> Self {
         let mut out = Self { of: vec![NONE; arena.elements.len()], aims: Vec::new() };
         let mut known = HashMap::new();
@@ -32,7 +33,7 @@ impl Aims {
         out
     }
 
-    /// Elements that are new have what their parents have.
+    /// Gives new elements the guides of their parents.
     pub fn grow(&mut self, arena: &Arena) {
         if self.aims.is_empty() {
             return;
@@ -51,7 +52,7 @@ impl Aims {
 impl Aim {
     pub const NONE: Self = Self(None);
 
-    /// How many of a part's rays.
+    /// Returns the number of guided rays of a part.
     pub fn number(&self, each: usize) -> usize {
         self.0.as_ref().map_or(0, |(_, share)| ((each as f32 * share) as usize).min(each - 1))
     }
@@ -61,7 +62,7 @@ impl Aim {
         Some(Directions::new(block, 1.0, point)?.sample(choice, u))
     }
 
-    /// Density of directions over the cosine's.
+    /// Returns the density of directions relative to the cosine distribution.
     pub fn ratio(&self, spot: &SurfaceSpot, dir: Vec3A, each: usize) -> f32 {
         let aimed = self.number(each);
         let (Some((block, _)), true) = (&self.0, aimed > 0) else { return 1.0 };

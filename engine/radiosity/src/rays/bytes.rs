@@ -1,4 +1,4 @@
-//! Sights as bytes.
+//! Encoding of hits as bytes.
 
 use super::{Sight, Sights};
 use crate::bytes::{Damaged, Reader, Writer};
@@ -6,7 +6,7 @@ use crate::bytes::{Damaged, Reader, Writer};
 const WHAT: &[u8; 8] = b"sights 1";
 
 impl Sights {
-    /// Their bytes.
+    /// Encodes the hits.
     pub fn encode(&self) -> Vec<u8> {
         let mut writer = Writer::new(WHAT);
         writer.number(u64::from(self.leaf));
@@ -25,8 +25,8 @@ impl Sights {
         writer.finish()
     }
 
-    /// Reads them.
-    /// - errors: the bytes are not what [`Sights::encode`] writes.
+    /// Decodes hits.
+    /// - errors: the bytes are not the output of [`Sights::encode`].
     pub fn decode(bytes: &[u8]) -> Result<Self, Damaged> {
         let mut reader = Reader::new(bytes, WHAT)?;
         let leaf = u32::try_from(reader.number()?).map_err(|_| Damaged("the place of its first leaf"))?;

@@ -1,4 +1,4 @@
-//! What links bring, scaled to what rays find.
+//! Scaling of the links' light to that of the rays.
 
 use super::{PARTS, Rays, Way, Weights, parts_of, unpacked};
 use crate::arena::Arena;
@@ -9,43 +9,45 @@ use femc_math::Rgb;
 use femc_math::color::luminance;
 use rayon::prelude::*;
 
-/// Squared difference, in variances of it, up to which it is taken as chance, where links may have the error [`ROUGH`] or more; the more
-/// exact they are, the less is a difference their fault.
+/// Squared difference, in units of its variance, that counts as chance if links may have the error [`ROUGH`] or more. For more
+/// exact links it is larger, because a difference is then less likely their fault.
 const CHANCE: f32 = 4.0;
 const ROUGH: f32 = 0.3;
-/// What links bring is scaled up to so much at most; what rays find beyond that is added.
+/// Maximum factor for the links' light. Light that rays find beyond that is added.
 const MOST: f32 = 4.0;
 
-/// What rays have found.
+/// Result of the comparison with rays.
 pub struct Found {
-    /// Light that arrives by the rays over that by the links; 1 where these bring none.
+    /// Light of the rays relative to that of the links; 1 if the links have none.
     pub ratio: f32,
-    /// Root mean square of what is changed, over what the links bring on average.
+    /// Root mean square of the changes, relative to the mean of the links' light.
     pub changed: f32,
-    /// The leaves, and by how much the irradiance of their parts differs, lx.
+    /// Leaves, and the difference between the irradiances of their parts, lx.
     pub contrast: Vec<(u32, f32)>,
 }
 
-/// Sums over a part of a surface, by which rays and links are compared.
+/// Sums over a part of a surface, for the comparison of rays and links.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     area: f32,
-    /// Light that arrives by the rays and by the links, lm, and that by the rays by color.
+    /// Light of the rays and of the links, lm, and the rays' light by color.
     rays: f32,
     links: f32,
     color: Rgb,
-    /// By rays of the leaves themselves, which are stratified, lm.
+    /// Light of the leaves' own rays, which are stratified, lm.
     own: f32,
-    /// Of the light by rays: of each way times what it would be if all rays of its leaf found as much, lm lx.
+    /// Sum over the ways of their light times the light if all rays of the leaf found as much, lm lx.
     squares: f32,
-    /// By the one way that brings most, lm.
+    /// Light of the brightest way, lm.
     most: f32,
-    /// By leaf the area squared over the rays, and that times what arrives by the links, and times the square of that.
+    /// Sums over the leaves of the squared area over the number of rays; of that times the links' irradiance; and of that times its
+    /// square.
     variances: [f32; 3],
 }
 
 impl Sums {
-    /// - `number`: rays of the part.
+    /// Creates the sums without ways.
+    /// - `number`: number of rays of the part.
     fn of(area: f32, number: f32, links: f32) -> Self {
         let weight = area * area / number;
         Self {
@@ -56,7 +58,7 @@ impl Sums {
         }
     }
 
-    /// Light along a way, lm; and what it would be if all rays of the leaf found as much, lx.
+    /// Adds the light along a way, lm, and the light if all rays of the leaf found as much, lx.
     fn find(&mut self, color: Rgb, bright: f32, is_own: bool) {
         let light = luminance(color);
         self.rays += light;
@@ -77,30 +79,32 @@ impl Sums {
         self.variances.iter_mut().zip(other.variances).for_each(|(sum, part)| *sum += part);
     }
 
-    /// Irradiance of a ray that meets something bright, lx; no less than in the part above, as few rays may have missed that.
+    /// Returns the irradiance of a ray that hits something bright, lx. It is no less than in the part above, since few rays may
+    /// have missed that.
     fn bright(&self, above: f32) -> f32 {
         if self.rays > 0.0 { above.max(self.squares / self.rays) } else { above }
     }
 
-    /// Share of the light that the leaves' own rays find; no more than in the part above, as the others' rays may have missed this one.
+    /// Returns the share of the leaves' own rays in the light. It is no more than in the part above, since the others' rays may
+    /// have missed this part.
     fn own(&self, above: f32) -> f32 {
         if self.rays > 0.0 { above.min(self.own / self.rays) } else { above }
     }
 
-    /// What the part receives, lm, by what is known of it.
+    /// Returns the light of the part by an estimate, lm.
     fn light(&self, known: &Known) -> f32 {
         known.scale * self.links + luminance(known.extra) * self.area
     }
 
-    /// What is known of the light here.
-    /// - `above`: what is known of the part above;
-    /// - `chance`: the squared difference, in variances of it, that is taken as chance.
+    /// Returns the estimate of the light here.
+    /// - `above`: estimate of the part above;
+    /// - `chance`: the squared difference, in units of its variance, that counts as chance.
     fn known(&self, above: &Known, chance: f32) -> Known {
         let (scale, extra, Known { bright, own, .. }) = (above.scale, luminance(above.extra), *above);
         let before = self.light(above);
-        // One ray that has met the fog at a lamp is no proof of more light.
+        // A single ray that hit the fog at a lamp does not prove more light.
         let rays = if self.rays > before { (self.rays - self.most).max(before) } else { self.rays };
-        // As if what is known above were right: of what a part receives few rays may have missed all.
+        // The variance assumes that the estimate above is right: few rays may have missed all of a part's light.
         let [area, links, squares] = self.variances;
         let once = scale * links + extra * area;
         let twice = scale * scale * squares + 2.0 * scale * extra * links + extra * extra * area;
@@ -120,8 +124,8 @@ impl Sums {
 }
 
 impl Rays {
-    /// Sets what the leaves receive beyond what links bring.
-    /// - `error`: what a link may have.
+    /// Sets the light that the leaves receive in addition to that of the links.
+    /// - `error`: allowed error of a link.
     pub fn correct(&self, arena: &Arena, lights: &mut Lights, error: f32) -> Found {
         let chance = CHANCE * (ROUGH / error).max(1.0);
         let by_leaf: Vec<[Sums; PARTS]> = (0..self.leaves.len())
@@ -156,7 +160,7 @@ impl Rays {
                 sums[element.parent as usize].add(&part);
             }
         }
-        // A parent comes before its children; what its parts have together is known best of it.
+        // A parent comes before its children. The total of its parts is known best.
         let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
         let whole = all.known(&nothing, chance);
         let mut known = vec![whole; arena.elements.len()];
@@ -208,7 +212,7 @@ impl Rays {
         Found { ratio, changed: changed as f32, contrast }
     }
 
-    /// Irradiance that links bring to the parts of a leaf, lx.
+    /// Returns the irradiance of the links at the parts of a leaf, lx.
     fn brought(&self, arena: &Arena, place: usize, lights: &Lights) -> [f32; PARTS] {
         let leaf = self.leaves[place];
         let element = &arena.elements[leaf as usize];
@@ -223,21 +227,21 @@ impl Rays {
     }
 }
 
-/// What is known of a part of a surface.
+/// Estimate of the light of a part of a surface.
 #[derive(Clone, Copy, Debug)]
 struct Known {
-    /// What is taken of what the links bring.
+    /// Factor of the links' light.
     scale: f32,
-    /// What is added to that, lx.
+    /// Additional irradiance, lx.
     extra: Rgb,
-    /// Irradiance of a ray that meets something bright, lx.
+    /// Irradiance of a ray that hits something bright, lx.
     bright: f32,
-    /// Share of the light that the leaves' own rays find.
+    /// Share of the leaves' own rays in the light.
     own: f32,
 }
 
 impl Known {
-    /// Of the parts of a whole, which together have what the whole has.
+    /// Returns the estimates of the parts of a whole. Together they have the light of the whole.
     fn of_parts(self, whole: &Sums, chance: f32, parts: &[Sums]) -> Vec<Self> {
         let above = Self { bright: whole.bright(self.bright), own: whole.own(self.own), ..self };
         let known: Vec<Self> = parts.iter().map(|part| part.known(&above, chance)).collect();
@@ -261,7 +265,7 @@ fn is_root(arena: &Arena, element: &Element) -> bool {
 mod tests {
     use super::*;
 
-    /// Rays from elsewhere find a third of the light of all parts; to one of them none has come. That is chance, not a shadow.
+    /// Rays of other leaves find a third of the light of all parts, but none reached one of them. That is chance, not a shadow.
     #[test]
     fn a_part_that_rays_from_elsewhere_have_missed_is_no_darker_for_that() {
         let gray = |light: f32| Rgb::splat(light);
@@ -280,7 +284,7 @@ mod tests {
         assert!(scales.iter().all(|scale| (scale - 1.0).abs() < 0.01), "{scales:?}");
     }
 
-    /// Where links bring nothing, what rays find is added, and in the parts as in the whole.
+    /// If links have no light, that of the rays is added, in the parts as in the whole.
     #[test]
     fn light_that_no_link_brings_is_added() {
         let part = |light: f32| {

@@ -1,14 +1,14 @@
-//! How a specular part shares the light with the diffuse part below it.
+//! Distribution of the light between a specular part and the diffuse part below it.
 
 use crate::Fresnel;
 use femc_math::Rgb;
 
 /// A specular reflectance `R(w) = rs F(|cos w|)` above a diffuse part.
 ///
-/// Without an index of refraction both parts stand as given. With one, the diffuse part is multiplied by
-/// `(1 - R(wo)) (1 - R(wi)) / (1 - R_mean)`, `R_mean` the cosine-weighted mean of R (\[kelemen2001\]): reciprocal, and its
-/// directional albedo is exactly `rd (1 - R(wo))`, what the specular part leaves. Rough lobes use the same R, that of
-/// the smooth surface.
+/// Without an index of refraction, both parts are used as given. With one, the diffuse part is multiplied by
+/// `(1 - R(wo)) (1 - R(wi)) / (1 - R_mean)`, where `R_mean` is the cosine-weighted mean of R (\[kelemen2001\]). This is reciprocal,
+/// and its directional albedo is exactly `rd (1 - R(wo))`, the light that the specular part leaves. Rough lobes use the R of the
+/// smooth surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coat {
     /// Specular reflectance before the Fresnel factor.
@@ -31,13 +31,13 @@ impl Coat {
         Self { rs, fresnel, normalisation }
     }
 
-    /// R at `cos` in [0, 1].
+    /// Returns R at `cos` in [0, 1].
     #[inline]
     pub fn reflectance(&self, cos: f32) -> Rgb {
         self.rs * self.fresnel.eval(cos)
     }
 
-    /// What the specular part leaves at `cos`: the factor on the diffuse part's directional albedo.
+    /// Returns the light that the specular part leaves at `cos`: the factor on the diffuse part's directional albedo.
     #[inline]
     pub fn left(&self, cos: f32) -> Rgb {
         match self.fresnel {
@@ -46,7 +46,7 @@ impl Coat {
         }
     }
 
-    /// Factor on the diffuse part's `f` for a pair of directions.
+    /// Returns the factor on the diffuse part's `f` for a pair of directions.
     #[inline]
     pub fn diffuse_factor(&self, cos_o: f32, cos_i: f32) -> Rgb {
         match self.fresnel {

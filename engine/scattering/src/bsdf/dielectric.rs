@@ -1,10 +1,10 @@
-//! The boundary of a solid dielectric, smooth or rough (\[walter2007\]).
+//! Boundary of a solid dielectric, smooth or rough (\[walter2007\]).
 //!
-//! Reflection is F, transmission `(1 - F) ts`. Radiance refracted from index `n_i` to `n_o` scales by `(n_o / n_i)^2`; that
-//! factor is in the weights, and `eta` = `n_i / n_o` of a sample lets Russian roulette take it out again. Shadowing is
-//! `1 / (1 + Lambda_o + Lambda_i)` for both lobes. A diffuse part, where there is one, is shared as in [`super::coat`]
-//! with R = F of each direction's own side:
-//! `f_r = rd T(o) T(i) / (pi (1 - F_mean))`, `f_t = td T(o) T(i) n_o^2 / (pi (1 - F_mean outside))` with T = 1 - F.
+//! Reflection is F, transmission `(1 - F) ts`. Radiance refracted from index `n_i` to `n_o` scales by `(n_o / n_i)^2`. That factor
+//! is in the weights, and `eta` = `n_i / n_o` of a sample lets Russian roulette remove it. Shadowing is
+//! `1 / (1 + Lambda_o + Lambda_i)` for both lobes. A diffuse part, if there is one, shares the light as in [`super::coat`], where R
+//! is the F of each direction's own side: `f_r = rd T(o) T(i) / (pi (1 - F_mean))`,
+//! `f_t = td T(o) T(i) n_o^2 / (pi (1 - F_mean outside))` with T = 1 - F.
 
 use super::{BsdfSample, LobeKind, Transmitted, onto_side};
 use crate::Fresnel;
@@ -15,7 +15,7 @@ use crate::microfacet::{
 use femc_math::{Rgb, glam::Vec3A, warp};
 use std::f32::consts::FRAC_1_PI;
 
-/// Relative distance of the index from 1 below which light passes straight and nothing is reflected.
+/// Relative distance of the index from 1 below which light passes straight through and nothing is reflected.
 const MATCHED: f32 = 1e-3;
 
 /// A dielectric interface between the outside (front, index 1) and the inside.
@@ -31,11 +31,11 @@ pub struct Dielectric {
     rd: Rgb,
     /// Diffuse transmittance.
     td: Rgb,
-    /// `1 - F_mean` seen from the outside; from the inside it is this over `eta^2`.
+    /// `1 - F_mean` seen from the outside. From the inside it is this value divided by `eta^2`.
     transmitted_mean: f32,
 }
 
-/// Probabilities of the outer choice.
+/// Probabilities of choosing a lobe.
 struct Selection {
     specular: f32,
     rd: f32,
@@ -43,7 +43,9 @@ struct Selection {
 }
 
 impl Dielectric {
-    /// `eta`: index of the inside over the outside, > 0; `alpha`: roughness of both specular lobes.
+    /// Creates the boundary.
+    /// - `eta`: index of the inside over the outside, > 0;
+    /// - `alpha`: roughness of both specular lobes.
     pub fn new(eta: f32, ts: Rgb, alpha: f32, rd: Rgb, td: Rgb) -> Self {
         let matched = (eta - 1.0).abs() < MATCHED;
         let (eta, alpha) = if matched { (1.0, 0.0) } else { (eta, alpha) };
@@ -51,43 +53,43 @@ impl Dielectric {
         Self { eta, ts, alpha, rd, td, transmitted_mean }
     }
 
-    /// The same with the diffuse reflectance multiplied by `factor`.
+    /// Multiplies the diffuse reflectance by `factor`.
     pub fn with_diffuse_factor(mut self, factor: Rgb) -> Self {
         self.rd *= factor;
         self
     }
 
-    /// The same without its diffuse parts.
+    /// Removes the diffuse parts.
     #[cfg(test)]
     pub(crate) fn clear(self) -> Self {
         Self { rd: Rgb::ZERO, td: Rgb::ZERO, ..self }
     }
 
-    /// The same with specular lobes that are deltas.
+    /// Makes the specular lobes deltas.
     pub fn smooth(mut self) -> Self {
         self.alpha = 0.0;
         self
     }
 
-    /// Whether the specular lobes are deltas.
+    /// Checks whether the specular lobes are deltas.
     #[inline]
     pub fn is_smooth(&self) -> bool {
         self.alpha <= SMOOTH_ALPHA
     }
 
-    /// Share of the light that goes straight through: of an index-matched interface, which reflects nothing.
+    /// Returns the share of the light that goes straight through an index-matched interface, which reflects nothing.
     #[inline]
     pub fn unbent(&self) -> Rgb {
         if self.eta == 1.0 && self.is_smooth() { self.ts } else { Rgb::ZERO }
     }
 
-    /// Whether there is a diffuse part.
+    /// Checks whether there is a diffuse part.
     #[inline]
     pub fn has_diffuse(&self) -> bool {
         self.rd.max_element() > 0.0 || self.td.max_element() > 0.0
     }
 
-    /// Index of the other side over that of the side with the sign of `z`.
+    /// Returns the index of the other side over that of the side with the sign of `z`.
     #[inline]
     fn eta_from(&self, z: f32) -> f32 {
         if z > 0.0 { self.eta } else { 1.0 / self.eta }
@@ -105,14 +107,14 @@ impl Dielectric {
         Selection { specular: specular / sum, rd: rd / sum, td: td / sum }
     }
 
-    /// Probability of reflection given a facet of reflectance `f`.
+    /// Returns the probability of reflection for a facet with reflectance `f`.
     #[inline]
     fn reflection_probability(&self, f: f32) -> f32 {
         let through = (1.0 - f) * self.ts.max_element();
         if f + through > 0.0 { f / (f + through) } else { 1.0 }
     }
 
-    /// The half vector, turned to `wo`'s side, for `wo` up and `wi` down; `None` where no facet joins the two.
+    /// Returns the half vector on `wo`'s side, for `wo` up and `wi` down; `None` if no facet connects the two.
     #[inline]
     fn half_vector(wo: Vec3A, wi: Vec3A, eta: f32) -> Option<Vec3A> {
         let h = (wo + wi * eta).normalize_or_zero();
@@ -120,7 +122,7 @@ impl Dielectric {
         (h.z > 0.0 && wo.dot(h) > 0.0 && wi.dot(h) < 0.0).then_some(h)
     }
 
-    /// Value and density of the non-delta parts; `wo` up, `wi` on either side, `eta` the other side over `wo`'s.
+    /// Returns the value and density of the non-delta parts; `wo` up, `wi` on either side, `eta` the other side over `wo`'s.
     fn eval_pdf(&self, wo: Vec3A, wi: Vec3A, eta: f32) -> (Rgb, f32) {
         let selection = self.selection(wo.z, eta);
         let (mut value, mut pdf) = (Rgb::ZERO, 0.0);
@@ -162,7 +164,7 @@ impl Dielectric {
         (value, pdf)
     }
 
-    /// f |cos wi| without delta parts, 1/sr.
+    /// Returns f |cos wi| without delta parts, 1/sr.
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
         if wo.z * wi.z == 0.0 {
             return Rgb::ZERO;
@@ -170,7 +172,7 @@ impl Dielectric {
         self.eval_pdf(onto_side(wo, wo.z), onto_side(wi, wo.z), self.eta_from(wo.z)).0
     }
 
-    /// Density of `sample` without delta parts, 1/sr.
+    /// Returns the density of `sample` without delta parts, 1/sr.
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
         if wo.z * wi.z == 0.0 {
             return 0.0;
@@ -178,7 +180,7 @@ impl Dielectric {
         self.eval_pdf(onto_side(wo, wo.z), onto_side(wi, wo.z), self.eta_from(wo.z)).1
     }
 
-    /// Draws a direction; `choice` picks the lobe.
+    /// Samples a direction; `choice` picks the lobe.
     pub fn sample(&self, wo: Vec3A, u: [f32; 2], choice: f32) -> Option<BsdfSample> {
         if wo.z == 0.0 {
             return None;
@@ -234,7 +236,7 @@ impl Dielectric {
         (pdf > 0.0).then(|| BsdfSample { wi, weight: weight / pdf, pdf, lobe: LobeKind::Delta, transmitted, eta })
     }
 
-    /// Directional albedo with the square of the index ratio taken out; the loss of single scattering is not taken off.
+    /// Returns the directional albedo with the square of the index ratio removed. The loss of single scattering is not subtracted.
     pub fn albedo(&self, wo: Vec3A) -> Rgb {
         let f = dielectric(wo.z.abs(), self.eta_from(wo.z)).reflectance;
         Rgb::splat(f) + (self.ts + self.rd + self.td) * (1.0 - f)

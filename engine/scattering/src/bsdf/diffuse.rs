@@ -14,19 +14,19 @@ pub struct Diffuse {
 }
 
 impl Diffuse {
-    /// f |cos wi|, 1/sr.
+    /// Returns f |cos wi|, 1/sr.
     #[inline]
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
         self.rd * self.pdf(wo, wi)
     }
 
-    /// `|cos wi| / pi` where both directions are on one side that exists, else 0.
+    /// Returns `|cos wi| / pi` if both directions are on one side that exists, else 0.
     #[inline]
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
         if wo.z * wi.z > 0.0 && self.sides.exist_at(wo.z) { wi.z.abs() * FRAC_1_PI } else { 0.0 }
     }
 
-    /// A cosine-distributed direction on the viewer's side.
+    /// Samples a cosine-distributed direction on the viewer's side.
     #[inline]
     pub fn sample(&self, wo: Vec3A, u: [f32; 2]) -> Option<BsdfSample> {
         if wo.z == 0.0 || !self.sides.exist_at(wo.z) {

@@ -1,14 +1,14 @@
 //! Energy conservation of a material's parameters, channel by channel.
 //!
-//! The scene format bounds the luminance of `rd + td + rs + ts`. Two kinds of materials within that bound would still return
-//! more than they receive:
-//! - A saturated color of luminance 1 has a channel above 1 (red: 4.7). The parameters that share the light in such a channel
-//!   are divided by their sum.
-//! - A diffuse part under an interface gets what a smooth interface leaves (\[kelemen2001\]). A rough interface reflects more
-//!   than a smooth one in some directions: at grazing facets, and from inside beyond the critical angle. The diffuse parts are
-//!   reduced by the factor that the worst direction needs, found by quadrature when the material is made.
+//! The scene format bounds the luminance of `rd + td + rs + ts`. Two kinds of materials within that bound would still return more
+//! light than they receive:
+//! - A saturated color of luminance 1 has a channel above 1 (red: 4.7). The parameters that share the light in such a channel are
+//!   divided by their sum.
+//! - A diffuse part under an interface gets the light that a smooth interface leaves (\[kelemen2001\]). A rough interface reflects
+//!   more than a smooth one in some directions: at grazing facets, and from inside beyond the critical angle. The diffuse parts are
+//!   reduced by the factor that the worst direction needs, found by quadrature when the material is created.
 //!
-//! Materials that gain nothing stay as they are, to the bit.
+//! Materials that do not gain energy stay unchanged, to the bit.
 
 use super::{MaterialParameters, Model};
 use crate::Fresnel;
@@ -16,18 +16,19 @@ use crate::fresnel::dielectric;
 use crate::microfacet::{SMOOTH_ALPHA, reflect, sample_visible_normal, shadowing_given_masking};
 use femc_math::{Rgb, glam::Vec3A};
 
-/// Greatest reflectance that is computed with; `f32` sums of larger ones could overflow.
+/// Greatest reflectance used in computations; `f32` sums of larger ones could overflow.
 const GREATEST: f32 = 1e30;
-/// Room for the rounding of decimal fractions that add up to 1.
+/// Tolerance for the rounding of decimal fractions that add up to 1.
 const ROOM: f32 = 1e-6;
 
 impl MaterialParameters {
-    /// The parameters with each channel limited to the light that the surface receives.
+    /// Limits each channel of the parameters to the light that the surface receives.
     ///
     /// The scattering model decides which of `rd`, `td`, `rs` and `ts` share the light:
     /// - without an index of refraction, and on sheets with `ts`: all four add up to at most 1;
-    /// - a coat with an index: `rs` is at most 1, and so is `rd + td`, which get what the coat leaves;
-    /// - a solid dielectric: `rd + td + ts` is at most 1, which get what the interface does not reflect; `rs` does not count.
+    /// - a coat with an index: `rs` is at most 1, and so is `rd + td`, which get the light that the coat leaves;
+    /// - a solid dielectric: `rd + td + ts`, which get the light that the interface does not reflect, is at most 1; `rs` does not
+    ///   count.
     ///
     /// Law: `no_material_of_the_format_returns_more_than_it_receives`.
     #[must_use]
@@ -45,7 +46,7 @@ impl MaterialParameters {
             Model::Sheet { fresnel } | Model::Opaque { fresnel } => {
                 limit([&mut rs]);
                 limit([&mut rd, &mut td]);
-                // A coat reflects at most `rs`: parts that add up to 1 cannot gain.
+                // A coat reflects at most `rs`, so parts that add up to 1 cannot gain energy.
                 if (rd + td + rs).max_element() > 1.0 {
                     leave(|| room_under_coat(fresnel, self.rs_alpha, rs), self.rs_alpha, [&mut rd, &mut td]);
                 }
@@ -55,7 +56,7 @@ impl MaterialParameters {
     }
 }
 
-/// Divides the colors by their sum in each channel where that is above 1.
+/// Divides the colors by their sum in each channel where the sum is above 1.
 fn limit<const N: usize>(mut colors: [&mut Rgb; N]) {
     let sum = colors.iter().fold(Rgb::ZERO, |sum, color| sum + **color);
     let divisor = Rgb::select(sum.cmpgt(Rgb::splat(1.0 + ROOM)), sum, Rgb::ONE);
@@ -76,12 +77,12 @@ fn leave(room: impl FnOnce() -> Rgb, alpha: f32, [rd, td]: [&mut Rgb; 2]) {
     *td *= factor;
 }
 
-/// Directions in which the room is looked for, and facets of each.
+/// Number of directions that are tested for the room, and number of facets for each.
 const VIEWS: u32 = 32;
 const FACETS: u32 = 256;
 
-/// Directions from nearly grazing to the normal, denser at grazing ones, where reflectance changes fast; on the denser side of an
-/// interface (`eta` < 1) those that are not reflected totally.
+/// Returns directions from nearly grazing to the normal, denser at grazing ones, where reflectance changes fast. On the denser side
+/// of an interface (`eta` < 1), directions of total reflection are excluded.
 fn views(eta: f32) -> impl Iterator<Item = Vec3A> {
     (0..=VIEWS).map(move |k| {
         let cos = ((k as f32 + 0.5) / VIEWS as f32).min(1.0).powi(2);
@@ -90,8 +91,8 @@ fn views(eta: f32) -> impl Iterator<Item = Vec3A> {
     })
 }
 
-/// Means over the facets that are visible from `wo`: of `reflected(wo.h)` times the shadowing of the mirror direction, and of
-/// `1 - reflected(wo.h)` times that of the direction with the cosine `refracted(wo, h)` on the other side.
+/// Returns means over the facets that are visible from `wo`: of `reflected(wo.h)` times the shadowing of the mirror direction, and
+/// of `1 - reflected(wo.h)` times that of the direction with the cosine `refracted(wo, h)` on the other side.
 fn means(
     wo: Vec3A,
     alpha: f32,
@@ -116,8 +117,8 @@ fn means(
     (back / FACETS as f32, through / FACETS as f32)
 }
 
-/// Greatest `rd + td` under a rough coat that reflects `rs` times the Fresnel factor: the diffuse parts return that sum times
-/// what a smooth coat leaves.
+/// Returns the greatest `rd + td` under a rough coat that reflects `rs` times the Fresnel factor. The diffuse parts return that sum
+/// times the light that a smooth coat leaves.
 fn room_under_coat(fresnel: Fresnel, alpha: f32, rs: Rgb) -> Rgb {
     let eta = match fresnel {
         Fresnel::Dielectric { eta } => eta,
@@ -130,7 +131,7 @@ fn room_under_coat(fresnel: Fresnel, alpha: f32, rs: Rgb) -> Rgb {
     })
 }
 
-/// Greatest `rd + td` of a solid with a rough interface, seen from both sides.
+/// Returns the greatest `rd + td` of a solid with a rough interface, seen from both sides.
 fn room_in_solid(eta: f32, alpha: f32, ts: Rgb) -> Rgb {
     [eta, 1.0 / eta].into_iter().fold(Rgb::ONE, |room, eta| {
         let fresnel = |cos: f32| dielectric(cos, eta);
@@ -147,7 +148,7 @@ fn room_in_solid(eta: f32, alpha: f32, ts: Rgb) -> Rgb {
     })
 }
 
-/// `part / whole`, at least 0; 1 where nothing is left to share.
+/// Returns `part / whole`, at least 0; 1 if nothing is left to share.
 fn share(part: Rgb, whole: Rgb) -> Rgb {
     Rgb::select(whole.cmpgt(Rgb::splat(1e-6)), part.max(Rgb::ZERO) / whole.max(Rgb::splat(1e-6)), Rgb::ONE)
 }

@@ -16,7 +16,7 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// The mirror direction.
+    /// Samples the mirror direction.
     #[inline]
     pub fn sample(&self, wo: Vec3A) -> Option<BsdfSample> {
         (wo.z != 0.0 && self.sides.exist_at(wo.z)).then(|| BsdfSample {
@@ -29,7 +29,7 @@ impl Mirror {
         })
     }
 
-    /// Exact directional albedo.
+    /// Returns the exact directional albedo.
     #[inline]
     pub fn albedo(&self, wo: Vec3A) -> Rgb {
         self.rs * self.fresnel.eval(wo.z.abs())

@@ -1,8 +1,8 @@
-//! Surface scattering: one member a file, dispatched by an enum.
+//! Surface scattering: one member per file, dispatched by an enum.
 //!
-//! `eval` is `f |cos wi|` with delta parts excluded, `pdf` the density of `sample` over solid angle with delta parts excluded
-//! (the probability of choosing a non-delta part is included, so it may integrate to less than 1), and the weight of a
-//! sample is `f |cos wi| / pdf`. The probabilities of the lobes depend on `wo` and the material only.
+//! `eval` is `f |cos wi|` without delta parts. `pdf` is the density of `sample` over solid angle without delta parts. It includes
+//! the probability of choosing a non-delta part, so it may integrate to less than 1. The weight of a sample is `f |cos wi| / pdf`.
+//! The probabilities of the lobes depend only on `wo` and the material.
 
 pub mod coat;
 pub mod dielectric;
@@ -22,62 +22,62 @@ pub use mirror::Mirror;
 pub use opaque::Opaque;
 pub use sheet::Sheet;
 
-/// Which sides of a surface exist.
+/// Sides of a surface that exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sides {
-    /// The front only; the tracer lets rays pass from behind.
+    /// Only the front. The tracer lets rays pass from behind.
     One,
-    /// Both, alike.
+    /// Both sides, with equal properties.
     #[default]
     Two,
 }
 
 impl Sides {
-    /// Whether the surface exists for a viewer at height `z`.
+    /// Checks whether the surface exists for a viewer at height `z`.
     #[inline]
     pub fn exist_at(self, z: f32) -> bool {
         z > 0.0 || self == Self::Two
     }
 }
 
-/// What kind of lobe a sample was drawn from.
+/// Kind of lobe from which a direction was sampled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LobeKind {
     /// Lambertian, reflected or transmitted.
     Diffuse,
     /// A microfacet lobe.
     Glossy,
-    /// A single direction; `pdf` is then the probability of having chosen it.
+    /// A single direction; `pdf` is then the probability of choosing it.
     Delta,
 }
 
-/// Whether a sample leaves on the other side of the surface.
+/// Side of the surface on which a sample leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transmitted {
     /// Reflected: `wi` is on the side of `wo`.
     No,
-    /// `wi` is on the other side.
+    /// Transmitted: `wi` is on the other side.
     Yes,
 }
 
 /// A sampled direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BsdfSample {
-    /// Unit, local frame, away from the surface.
+    /// Unit direction, local frame, away from the surface.
     pub wi: Vec3A,
     /// `f |cos wi| / pdf`, with the factor `1 / eta^2` of refracted radiance.
     pub weight: Rgb,
-    /// 1/sr; for [`LobeKind::Delta`] the probability of the choice.
+    /// Density, 1/sr; for [`LobeKind::Delta`] the probability of the choice.
     pub pdf: f32,
-    /// The lobe it came from.
+    /// Lobe of the sample.
     pub lobe: LobeKind,
-    /// Side it leaves on.
+    /// Side on which it leaves.
     pub transmitted: Transmitted,
-    /// Index on `wi`'s side over that on `wo`'s; 1 unless refracted. Russian roulette judges `throughput * product(eta^2)`.
+    /// Index on `wi`'s side over that on `wo`'s; 1 unless refracted. Russian roulette tests `throughput * product(eta^2)`.
     pub eta: f32,
 }
 
-/// The parameters of the scene format's reflection model.
+/// Parameters of the scene format's reflection model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaterialParameters {
     /// Sides that exist.
@@ -94,7 +94,7 @@ pub struct MaterialParameters {
     pub rs_alpha: f32,
     /// GGX roughness of `ts`; 0 is clear.
     pub ts_alpha: f32,
-    /// Complex index of refraction (re, im) where given; (1, 0), the format's default, counts as not given.
+    /// Complex index of refraction (re, im), if given. The format's default (1, 0) counts as not given.
     pub ior: Option<(f32, f32)>,
 }
 
@@ -124,13 +124,13 @@ pub enum Bsdf {
     Mirror(Mirror),
     /// Diffuse and specular reflection.
     Opaque(Opaque),
-    /// Thin sheet: reflection and transmission, unbent.
+    /// Thin sheet: reflection and transmission without refraction.
     Sheet(Sheet),
     /// Boundary of a solid dielectric.
     Dielectric(Dielectric),
 }
 
-/// Family of scattering functions, by what a material has: it decides which parameters share the light.
+/// Family of scattering functions of a material, which decides which parameters share the light.
 enum Model {
     /// Boundary of a solid dielectric.
     Solid {
@@ -142,7 +142,7 @@ enum Model {
         /// Fresnel factor of the reflected specular part.
         fresnel: Fresnel,
     },
-    /// Reflection alone.
+    /// Only reflection.
     Opaque {
         /// Fresnel factor of the specular part.
         fresnel: Fresnel,
@@ -168,12 +168,12 @@ impl MaterialParameters {
 }
 
 impl Bsdf {
-    /// The cheapest member that has these parameters, limited as by [`MaterialParameters::conserving`]. A solid dielectric (one
-    /// side, real index, `ts` > 0) reflects F with the roughness of `ts`: `rs` and its roughness do not count there.
+    /// Returns the cheapest member with these parameters, limited as by [`MaterialParameters::conserving`]. A solid dielectric (one
+    /// side, real index, `ts` > 0) reflects F with the roughness of `ts`; `rs` and its roughness do not count there.
     pub fn from_parameters(parameters: &MaterialParameters) -> Self {
         let p = parameters.conserving();
         let present = |color: Rgb| color.max_element() > 0.0;
-        // A surface with an index bounds a solid: it exists from both sides.
+        // A surface with an index bounds a solid, so it exists from both sides.
         let sides = if p.ior.is_some() { Sides::Two } else { p.sides };
         match p.model() {
             Model::Solid { eta } => Self::Dielectric(Dielectric::new(eta, p.ts, p.ts_alpha, p.rd, p.td)),
@@ -197,7 +197,7 @@ impl Bsdf {
         }
     }
 
-    /// The same with the diffuse reflectance multiplied by `factor` (a texture's value in [0, 1]); cheap, for use at a hit.
+    /// Multiplies the diffuse reflectance by `factor` (a texture's value in [0, 1]). It is cheap enough for use at a hit.
     #[inline]
     pub fn with_diffuse_factor(&self, factor: Rgb) -> Self {
         match *self {
@@ -210,8 +210,8 @@ impl Bsdf {
         }
     }
 
-    /// Share of irradiance from all around that the Lambertian parts reflect, and let through, toward `wo`: times the irradiance of the
-    /// side of `wo`, and of the other side, over pi it is their radiance.
+    /// Returns the shares of irradiance that the Lambertian parts reflect and transmit toward `wo`. Times the irradiance of the
+    /// side of `wo`, and of the other side, over pi, this is their radiance.
     pub fn lambertian(&self, wo: Vec3A) -> (Rgb, Rgb) {
         let cos = wo.z.abs();
         match self {
@@ -222,7 +222,7 @@ impl Bsdf {
         }
     }
 
-    /// The same without its Lambertian parts; what bounds a clear solid stays as it is.
+    /// Removes the Lambertian parts. The boundary of a clear solid stays unchanged.
     pub fn without_lambertian(&self) -> Self {
         match *self {
             Self::Diffuse(_) => Self::Black,
@@ -232,8 +232,8 @@ impl Bsdf {
         }
     }
 
-    /// `f |cos wi|`, 1/sr, delta parts excluded.
-    /// Laws: reciprocal (`reciprocity_holds`), the white furnace keeps at most 1 (`no_member_creates_energy`).
+    /// Returns `f |cos wi|`, 1/sr, without delta parts. Laws: reciprocal (`reciprocity_holds`), the white furnace keeps at most 1
+    /// (`no_member_creates_energy`).
     #[inline]
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
         match self {
@@ -245,10 +245,10 @@ impl Bsdf {
         }
     }
 
-    /// Share of [`Self::eval`] that is of Lambertian lobes, by channel, in 0..1; the rest is of lobes about a direction. 0 where nothing is
-    /// scattered (test `what_is_diffuse_and_what_is_glossy_is_all`).
+    /// Returns the share of Lambertian lobes in [`Self::eval`] by channel, in 0..1. The rest is in glossy lobes. It is 0 if nothing
+    /// is scattered (test `what_is_diffuse_and_what_is_glossy_is_all`).
     pub fn diffuse_share(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
-        // Where the specular lobes are deltas, only what is diffuse is left.
+        // If the specular lobes are deltas, only the diffuse part is left.
         let diffuse = match *self {
             Self::Black | Self::Mirror(_) => return Rgb::ZERO,
             Self::Diffuse(_) => return Rgb::ONE,
@@ -262,7 +262,8 @@ impl Bsdf {
         Rgb::new(share(a, x), share(b, y), share(c, z))
     }
 
-    /// Density of [`Self::sample`], 1/sr, delta parts excluded; includes the probability of choosing a non-delta part.
+    /// Returns the density of [`Self::sample`], 1/sr, without delta parts. It includes the probability of choosing a non-delta
+    /// part.
     #[inline]
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
         match self {
@@ -274,7 +275,7 @@ impl Bsdf {
         }
     }
 
-    /// Draws a direction from `u` in [0, 1)^2; `choice` in [0, 1) picks the lobe. `None`: the light is absorbed.
+    /// Samples a direction from `u` in [0, 1)^2; `choice` in [0, 1) picks the lobe. `None`: the light is absorbed.
     #[inline]
     pub fn sample(&self, wo: Vec3A, u: [f32; 2], choice: f32) -> Option<BsdfSample> {
         match self {
@@ -287,7 +288,7 @@ impl Bsdf {
         }
     }
 
-    /// Whether every sample is a delta (or there is none): light sampling is then useless.
+    /// Checks whether every sample is a delta (or there is none). Light sampling is then useless.
     #[inline]
     pub fn is_delta_only(&self) -> bool {
         match self {
@@ -303,7 +304,7 @@ impl Bsdf {
         }
     }
 
-    /// Whether some samples are deltas.
+    /// Checks whether some samples are deltas.
     #[inline]
     pub fn has_delta(&self) -> bool {
         match self {
@@ -318,14 +319,15 @@ impl Bsdf {
         }
     }
 
-    /// Whether light can pass to the other side.
+    /// Checks whether light can pass to the other side.
     #[inline]
     pub fn transmits(&self) -> bool {
         matches!(self, Self::Sheet(_) | Self::Dielectric(_))
     }
 
-    /// Share of the light that goes straight through, from either side and under any angle: shadow rays may pass with it. A sample
-    /// of that part is a [`LobeKind::Delta`], transmitted, with `wi = -wo` and `eta` 1 (`what_passes_unbent_is_drawn_unbent`).
+    /// Returns the share of the light that goes straight through, from either side and at any angle. Shadow rays may pass with it.
+    /// A sample of that part is a [`LobeKind::Delta`], transmitted, with `wi = -wo` and `eta` 1
+    /// (`what_passes_unbent_is_drawn_unbent`).
     #[inline]
     pub fn unbent(&self) -> Rgb {
         match self {
@@ -335,8 +337,8 @@ impl Bsdf {
         }
     }
 
-    /// What reflects without being a delta, roughly: luminance of the diffuse reflectance, of the glossy reflectance toward `wo`, and
-    /// the roughness of that. `None` of surfaces without a glossy lobe, or through which light comes.
+    /// Returns an approximation of the non-delta reflection: luminance of the diffuse reflectance, of the glossy reflectance toward
+    /// `wo`, and its roughness. `None` for surfaces without a glossy lobe, or with transmission.
     #[inline]
     pub fn glossy_lobes(&self, wo: Vec3A) -> Option<(f32, f32, f32)> {
         match self {
@@ -345,8 +347,9 @@ impl Bsdf {
         }
     }
 
-    /// Directional albedo, reflected plus transmitted. Exact for diffuse and smooth parts; the few percent that single
-    /// scattering loses in rough lobes are not taken off, nor is the square of the index ratio of refracted radiance.
+    /// Returns the directional albedo, reflected plus transmitted. It is exact for diffuse and smooth parts. The few percent that
+    /// single scattering loses in rough lobes are not subtracted, and the square of the index ratio of refracted radiance is not
+    /// included.
     #[inline]
     pub fn albedo(&self, wo: Vec3A) -> Rgb {
         match self {
@@ -360,7 +363,7 @@ impl Bsdf {
     }
 }
 
-/// `v` with its z negated where `z` is negative: turns a direction up, or back.
+/// Negates the z of `v` if `z` is negative: turns a direction up, or back.
 #[inline]
 fn onto_side(v: Vec3A, z: f32) -> Vec3A {
     if z < 0.0 { Vec3A::new(v.x, v.y, -v.z) } else { v }

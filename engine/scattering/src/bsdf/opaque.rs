@@ -13,7 +13,7 @@ use std::f32::consts::FRAC_1_PI;
 pub struct Opaque {
     /// Diffuse reflectance.
     pub rd: Rgb,
-    /// The specular part.
+    /// Specular part.
     pub coat: Coat,
     /// GGX roughness; at most [`SMOOTH_ALPHA`] means a mirror.
     pub alpha: f32,
@@ -22,20 +22,20 @@ pub struct Opaque {
 }
 
 impl Opaque {
-    /// Whether the specular part is a delta.
+    /// Checks whether the specular part is a delta.
     #[inline]
     pub fn is_smooth(&self) -> bool {
         self.alpha <= SMOOTH_ALPHA
     }
 
-    /// Luminance of the diffuse reflectance and of the specular reflectance toward `wo`, and the roughness.
+    /// Returns the luminance of the diffuse reflectance and of the specular reflectance toward `wo`, and the roughness.
     #[inline]
     pub fn lobes(&self, wo: Vec3A) -> (f32, f32, f32) {
         let cos = wo.z.abs();
         (luminance(self.rd * self.coat.left(cos)), luminance(self.coat.reflectance(cos)), self.alpha)
     }
 
-    /// Probability of the specular lobe at `cos_o` = |wo.z|.
+    /// Returns the probability of the specular lobe at `cos_o` = |wo.z|.
     #[inline]
     fn specular_probability(&self, cos_o: f32) -> f32 {
         let specular = self.coat.reflectance(cos_o).max_element();
@@ -43,13 +43,13 @@ impl Opaque {
         if specular + diffuse > 0.0 { specular / (specular + diffuse) } else { 0.0 }
     }
 
-    /// Both directions turned to the upper side, or `None` where nothing is reflected.
+    /// Turns both directions to the upper side. `None` if nothing is reflected.
     #[inline]
     fn upright(&self, wo: Vec3A, wi: Vec3A) -> Option<(Vec3A, Vec3A)> {
         (wo.z * wi.z > 0.0 && self.sides.exist_at(wo.z)).then(|| (onto_side(wo, wo.z), onto_side(wi, wi.z)))
     }
 
-    /// Value and density, of the non-delta parts.
+    /// Returns the value and density of the non-delta parts.
     #[inline]
     fn eval_pdf(&self, wo: Vec3A, wi: Vec3A) -> (Rgb, f32) {
         let p = self.specular_probability(wo.z);
@@ -64,19 +64,19 @@ impl Opaque {
         (value, pdf)
     }
 
-    /// f |cos wi| without a delta part, 1/sr.
+    /// Returns f |cos wi| without a delta part, 1/sr.
     #[inline]
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
         self.upright(wo, wi).map_or(Rgb::ZERO, |(wo, wi)| self.eval_pdf(wo, wi).0)
     }
 
-    /// Density of `sample` without a delta part, 1/sr.
+    /// Returns the density of `sample` without a delta part, 1/sr.
     #[inline]
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
         self.upright(wo, wi).map_or(0.0, |(wo, wi)| self.eval_pdf(wo, wi).1)
     }
 
-    /// Draws a direction; `choice` picks the lobe.
+    /// Samples a direction; `choice` picks the lobe.
     #[inline]
     pub fn sample(&self, wo: Vec3A, u: [f32; 2], choice: f32) -> Option<BsdfSample> {
         if wo.z == 0.0 || !self.sides.exist_at(wo.z) {
@@ -113,7 +113,7 @@ impl Opaque {
         })
     }
 
-    /// Directional albedo; the energy that single scattering loses in rough lobes is not taken off.
+    /// Returns the directional albedo. The energy that single scattering loses in rough lobes is not subtracted.
     #[inline]
     pub fn albedo(&self, wo: Vec3A) -> Rgb {
         let cos = wo.z.abs();

@@ -1,8 +1,8 @@
-//! A thin sheet: reflection and transmission, each diffuse and specular, on both sides; directions are not bent.
+//! A thin sheet: reflection and transmission, each diffuse and specular, on both sides, without refraction.
 //!
-//! The transmitted GGX lobe is the reflected one mirrored through the surface; with roughness 0 light passes straight.
-//! `rs` and `ts` stand as they are (no Fresnel factor) where `ts` > 0; a sheet with an index and without `ts` is a coated
-//! translucent surface whose diffuse parts share what the specular part leaves, the same from both sides.
+//! The transmitted GGX lobe is the reflected one mirrored through the surface. With roughness 0, light passes straight through. If
+//! `ts` > 0, `rs` and `ts` are used as given (no Fresnel factor). A sheet with an index and without `ts` is a coated translucent
+//! surface. Its diffuse parts share the light that the specular part leaves, equally from both sides.
 
 use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, onto_side};
 use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection, sample_visible_normal};
@@ -47,7 +47,7 @@ impl Sheet {
         Selection { rs: rs * scale, ts: ts * scale, rd: rd * scale, td: td * scale }
     }
 
-    /// Value and density for upright `wo` and a `wi` that was turned up after having been on the side `transmitted`.
+    /// Returns the value and density for an upward `wo`, and a `wi` that was turned up from the side `transmitted`.
     #[inline]
     fn eval_pdf(&self, wo: Vec3A, wi: Vec3A, transmitted: Transmitted) -> (Rgb, f32) {
         let selection = self.selection(wo.z);
@@ -79,19 +79,19 @@ impl Sheet {
         Some((onto_side(wo, wo.z), onto_side(wi, wi.z), transmitted))
     }
 
-    /// f |cos wi| without delta parts, 1/sr.
+    /// Returns f |cos wi| without delta parts, 1/sr.
     #[inline]
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
         self.upright(wo, wi).map_or(Rgb::ZERO, |(wo, wi, t)| self.eval_pdf(wo, wi, t).0)
     }
 
-    /// Density of `sample` without delta parts, 1/sr.
+    /// Returns the density of `sample` without delta parts, 1/sr.
     #[inline]
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
         self.upright(wo, wi).map_or(0.0, |(wo, wi, t)| self.eval_pdf(wo, wi, t).1)
     }
 
-    /// Draws a direction; `choice` picks the lobe.
+    /// Samples a direction; `choice` picks the lobe.
     #[inline]
     pub fn sample(&self, wo: Vec3A, u: [f32; 2], choice: f32) -> Option<BsdfSample> {
         if wo.z == 0.0 || !self.sides.exist_at(wo.z) {
@@ -136,7 +136,7 @@ impl Sheet {
         })
     }
 
-    /// Directional albedo, reflected and transmitted; the loss of single scattering is not taken off.
+    /// Returns the directional albedo, reflected and transmitted. The loss of single scattering is not subtracted.
     #[inline]
     pub fn albedo(&self, wo: Vec3A) -> Rgb {
         let cos = wo.z.abs();

@@ -1,8 +1,8 @@
-//! Phase functions: one member a file.
+//! Phase functions: one member per file.
 //!
 //! `wo` points back along the ray, `wi` toward the light, both unit. The cosine is between PROPAGATION directions, that is
-//! `-wo . wi`: positive parameters scatter forward. Every density is 1/sr and integrates to 1, and samples are drawn
-//! exactly from it, so a sample's weight is 1.
+//! `-wo . wi`: positive parameters scatter forward. Every density is in 1/sr and integrates to 1. Samples follow it exactly, so a
+//! sample's weight is 1.
 
 mod henyey_greenstein;
 mod rayleigh;
@@ -35,17 +35,17 @@ pub enum Phase {
 /// A sampled direction; its weight is 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhaseSample {
-    /// Unit, away from the scattering point.
+    /// Unit direction, away from the scattering point.
     pub wi: Vec3A,
-    /// 1/sr.
+    /// Density, 1/sr.
     pub pdf: f32,
 }
 
 impl Phase {
-    /// Phase function, 1/sr. Symmetric in its arguments; integrates to 1 over the sphere.
+    /// Returns the phase function, 1/sr. It is symmetric in its arguments and integrates to 1 over the sphere.
     #[inline]
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> f32 {
-        // Half the square of the chord to the peak: exact where the peak is narrow and the cosine is not.
+        // Half the square of the chord to the peak. It is exact for a narrow peak, where the cosine is not.
         let versine = |parameter: f32| {
             let chord = if parameter >= 0.0 { wo + wi } else { wo - wi };
             0.5 * chord.length_squared()
@@ -58,13 +58,13 @@ impl Phase {
         }
     }
 
-    /// Density of [`Self::sample`], 1/sr: equal to [`Self::eval`].
+    /// Returns the density of [`Self::sample`], 1/sr, which equals [`Self::eval`].
     #[inline]
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
         self.eval(wo, wi)
     }
 
-    /// Draws a direction from `u` in [0, 1)^2.
+    /// Samples a direction from `u` in [0, 1)^2.
     #[inline]
     pub fn sample(&self, wo: Vec3A, u: [f32; 2]) -> PhaseSample {
         let (parameter, versine) = match *self {
@@ -78,7 +78,8 @@ impl Phase {
         PhaseSample { wi, pdf: self.eval(wo, wi) }
     }
 
-    /// Parameter of the Schlick phase function that is close to it (\[blasi1993\]); 0 of those that are not narrow.
+    /// Returns the parameter of a Schlick phase function that is close to this one (\[blasi1993\]); 0 for those that are not
+    /// narrow.
     pub fn schlick_parameter(&self) -> f32 {
         match *self {
             Self::Isotropic | Self::Rayleigh => 0.0,
@@ -87,7 +88,7 @@ impl Phase {
         }
     }
 
-    /// Mean cosine between propagation directions.
+    /// Returns the mean cosine between propagation directions.
     pub fn mean_cosine(&self) -> f32 {
         match *self {
             Self::Isotropic | Self::Rayleigh => 0.0,

@@ -1,4 +1,4 @@
-//! Rayleigh scattering of unpolarised light.
+//! Rayleigh scattering of unpolarized light.
 
 use femc_math::elementary::cbrt;
 use std::f32::consts::PI;
@@ -8,7 +8,7 @@ pub fn eval(cos: f32) -> f32 {
     3.0 / (16.0 * PI) * (1.0 + cos * cos)
 }
 
-/// The real root of `c^3 + 3 c = 8 u - 4` (\[frisvad2011\]), computed on the side where nothing cancels.
+/// Returns the real root of `c^3 + 3 c = 8 u - 4` (\[frisvad2011\]), computed on the side without cancellation.
 #[inline]
 pub fn sample_cos(u: f32) -> f32 {
     let q = 4.0 * u - 2.0;

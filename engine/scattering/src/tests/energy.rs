@@ -1,15 +1,15 @@
-//! Energy of random materials over the whole domain of the scene format.
+//! Tests of the energy of random materials over the whole domain of the scene format.
 
 use super::{furnace, uniform};
 use crate::{Bsdf, MaterialParameters, Sides};
 use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_math::{Rgb, warp};
 
-/// Random materials of each run.
+/// Number of random materials of each run.
 const MATERIALS: u64 = 10_000;
 
-/// A material that the scene format allows: amounts in [0, 1] whose luminances add up to at most 1, colors of luminance 1 up to
-/// the most saturated ones or raw ones, any roughness and index of refraction.
+/// Creates a material that the scene format allows: amounts in [0, 1] whose luminances add up to at most 1; colors of luminance 1,
+/// up to the most saturated ones, or raw colors; any roughness and index of refraction.
 fn random_material(key: u64) -> MaterialParameters {
     let roll = |k: u64| uniform(&[key, k]);
     let color = |k: u64| {
@@ -32,7 +32,7 @@ fn random_material(key: u64) -> MaterialParameters {
     let amount = |k: u64| if roll(k) < 0.45 { 0.0 } else { roll(k + 1) };
     let [rd, td, rs, ts] = [100u64, 200, 300, 400].map(|k| color(k) * amount(k + 50));
     let sum = (rd + td + rs + ts).dot(LUMINANCE_WEIGHTS);
-    // The import divides by sums above 1; many materials of files are right at 1.
+    // The import divides by sums above 1. Many materials of files have a sum of exactly 1.
     let scale = if sum > 1.0 || (sum > 0.0 && roll(1) < 0.5) { 1.0 / sum } else { 1.0 };
     let alpha = |k: u64| match roll(k) {
         x if x < 0.2 => 0.0,
@@ -72,7 +72,7 @@ fn no_material_of_the_format_returns_more_than_it_receives() {
         let cos = [1.0, uniform(&[key, 10]), 0.1 * uniform(&[key, 11])];
         for (view, cos) in cos.into_iter().enumerate() {
             let wo = warp::direction(cos.max(1e-3), 0.2) * if (key + view as u64) % 2 == 1 { -1.0 } else { 1.0 };
-            // A rough look at all, better ones at those that seem to gain.
+            // A coarse estimate for all materials, better ones for those that seem to gain.
             let (look, _) = furnace(&bsdf, wo, key, 5);
             assert!(look.is_finite(), "{material:?}, {wo}: {look}");
             if look.max_element() > 1.01 {
@@ -105,7 +105,7 @@ fn a_material_within_its_limits_keeps_its_bits_and_one_beyond_keeps_the_ratio_of
     let red = Rgb::new(1.0 / LUMINANCE_WEIGHTS.x, 0.0, 0.0);
     let beyond = MaterialParameters { rd: red * 0.3, rs: red * 0.15, ..p }.conserving();
     assert!((beyond.rd.x - 2.0 / 3.0).abs() < 1e-6 && (beyond.rs.x - 1.0 / 3.0).abs() < 1e-6, "{beyond:?}");
-    // A coat with an index leaves what it does not reflect: the parts below it need no room for it.
+    // A coat with an index leaves the light that it does not reflect, so the parts below it are not reduced for it.
     let coated = MaterialParameters { rd: red * 0.3, rs: red * 0.3, ior: Some((1.5, 0.0)), ..p }.conserving();
     assert_eq!((coated.rd.x, coated.rs.x), (1.0, 1.0));
     // `rs` of a solid does not count.

@@ -6,7 +6,7 @@ use femc_math::glam::{DVec3, Vec3A};
 use femc_math::hash::{combine, unit_f32};
 use femc_math::{Frame, Rgb, warp};
 use femc_stats::testing::chi2::Cells;
-use femc_stats::testing::{sidak, sphere_test};
+use femc_stats::testing::{assert_covers, sidak, sphere_test};
 
 mod energy;
 
@@ -87,6 +87,12 @@ fn views() -> Vec<Vec3A> {
 
 fn random_direction(seed: u64, i: u64) -> Vec3A {
     warp::sphere(uniform_pair(seed, i))
+}
+
+#[test]
+fn every_member_is_in_the_laws() {
+    assert_covers(include_str!("bsdf/mod.rs"), "Bsdf", &["Black"], members().into_iter().map(|(_, bsdf, _)| bsdf));
+    assert_covers(include_str!("phase/mod.rs"), "Phase", &[], phases());
 }
 
 #[test]

@@ -191,7 +191,15 @@ impl Light {
     /// Checks whether the light is defined by its intensity, cd. The brightness of such a light does not depend on its size.
     #[inline]
     pub fn has_intensity(&self) -> bool {
-        matches!(self, Self::PhotometricPoint(_) | Self::PhotometricSolid(_))
+        match self {
+            Self::PhotometricPoint(_) | Self::PhotometricSolid(_) => true,
+            Self::Triangle(_)
+            | Self::Parallelogram(_)
+            | Self::Sphere(_)
+            | Self::Cone(_)
+            | Self::Ring(_)
+            | Self::Torus(_) => false,
+        }
     }
 
     /// Returns the measured luminous intensity, cd, in direction `dir` (unit, away from the light); `None` for other lights.
@@ -200,7 +208,12 @@ impl Light {
         match self {
             Self::PhotometricPoint(l) => Some(luminance(l.intensity(dir))),
             Self::PhotometricSolid(l) => Some(luminance(l.intensity(dir))),
-            _ => None,
+            Self::Triangle(_)
+            | Self::Parallelogram(_)
+            | Self::Sphere(_)
+            | Self::Cone(_)
+            | Self::Ring(_)
+            | Self::Torus(_) => None,
         }
     }
 
@@ -209,7 +222,12 @@ impl Light {
         match self {
             Self::Triangle(l) => l.corners().to_vec(),
             Self::Parallelogram(l) => l.corners().to_vec(),
-            _ => Vec::new(),
+            Self::Sphere(_)
+            | Self::Cone(_)
+            | Self::Ring(_)
+            | Self::Torus(_)
+            | Self::PhotometricPoint(_)
+            | Self::PhotometricSolid(_) => Vec::new(),
         }
     }
 
@@ -220,7 +238,12 @@ impl Light {
         match self {
             Self::Triangle(l) => l.toward(reference, dir),
             Self::Parallelogram(l) => l.toward(reference, dir),
-            _ => None,
+            Self::Sphere(_)
+            | Self::Cone(_)
+            | Self::Ring(_)
+            | Self::Torus(_)
+            | Self::PhotometricPoint(_)
+            | Self::PhotometricSolid(_) => None,
         }
     }
 

@@ -218,7 +218,13 @@ impl Bsdf {
             Self::Diffuse(b) if b.sides.exist_at(wo.z) => (b.rd, Rgb::ZERO),
             Self::Opaque(b) if b.sides.exist_at(wo.z) => (b.rd * b.coat.left(cos), Rgb::ZERO),
             Self::Sheet(b) if b.sides.exist_at(wo.z) => (b.rd * b.coat.left(cos), b.td * b.coat.left(cos)),
-            _ => (Rgb::ZERO, Rgb::ZERO),
+            // Without Lambertian parts, or seen from a side that does not exist.
+            Self::Black
+            | Self::Diffuse(_)
+            | Self::Mirror(_)
+            | Self::Opaque(_)
+            | Self::Sheet(_)
+            | Self::Dielectric(_) => (Rgb::ZERO, Rgb::ZERO),
         }
     }
 
@@ -228,7 +234,7 @@ impl Bsdf {
             Self::Diffuse(_) => Self::Black,
             Self::Opaque(b) => Self::Opaque(Opaque { rd: Rgb::ZERO, ..b }),
             Self::Sheet(b) => Self::Sheet(Sheet { rd: Rgb::ZERO, td: Rgb::ZERO, ..b }),
-            other => other,
+            Self::Black | Self::Mirror(_) | Self::Dielectric(_) => *self,
         }
     }
 
@@ -322,7 +328,10 @@ impl Bsdf {
     /// Checks whether light can pass to the other side.
     #[inline]
     pub fn transmits(&self) -> bool {
-        matches!(self, Self::Sheet(_) | Self::Dielectric(_))
+        match self {
+            Self::Sheet(_) | Self::Dielectric(_) => true,
+            Self::Black | Self::Diffuse(_) | Self::Mirror(_) | Self::Opaque(_) => false,
+        }
     }
 
     /// Returns the share of the light that goes straight through, from either side and at any angle. Shadow rays may pass with it.
@@ -333,7 +342,7 @@ impl Bsdf {
         match self {
             Self::Sheet(b) if b.ts_alpha <= SMOOTH_ALPHA => b.ts,
             Self::Dielectric(b) => b.unbent(),
-            _ => Rgb::ZERO,
+            Self::Black | Self::Diffuse(_) | Self::Mirror(_) | Self::Opaque(_) | Self::Sheet(_) => Rgb::ZERO,
         }
     }
 
@@ -342,8 +351,8 @@ impl Bsdf {
     #[inline]
     pub fn glossy_lobes(&self, wo: Vec3A) -> Option<(f32, f32, f32)> {
         match self {
-            Self::Opaque(it) if !it.is_smooth() => Some(it.lobes(wo)),
-            _ => None,
+            Self::Opaque(it) => (!it.is_smooth()).then(|| it.lobes(wo)),
+            Self::Black | Self::Diffuse(_) | Self::Mirror(_) | Self::Sheet(_) | Self::Dielectric(_) => None,
         }
     }
 

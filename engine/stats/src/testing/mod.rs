@@ -4,9 +4,11 @@
 
 pub mod chi2;
 pub mod gamma;
+pub mod variants;
 pub mod ztest;
 
 pub use chi2::{Chi2, sphere_test};
+pub use variants::assert_covers;
 pub use ztest::{Moments, z_test};
 
 /// Returns the level of each of `tests` independent tests, so that the probability of any false alarm among them is `level`

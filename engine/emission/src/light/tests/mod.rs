@@ -8,6 +8,7 @@ use super::*;
 use crate::{Emission, IntensityDistribution, PhotometryKind, Profile, Sides};
 use femc_math::Frame;
 use femc_math::hash::{combine, unit_f32};
+use femc_stats::testing::assert_covers;
 use std::sync::Arc;
 use tracer::Patch;
 
@@ -46,6 +47,13 @@ fn luminaire(solid: Solid) -> PhotometricSolid {
         distribution: distribution(),
         tint: Rgb::ONE,
     }
+}
+
+/// The point has no surface; `closed_forms` has its laws.
+#[test]
+fn every_kind_of_light_is_in_the_laws() {
+    let lights = cases().into_iter().map(|case| case.light);
+    assert_covers(include_str!("../mod.rs"), "Light", &["PhotometricPoint"], lights);
 }
 
 /// A light and its surface in the form of the reference tracer.

@@ -72,7 +72,7 @@ impl Addresses {
         self.all[0].scheme_str() == Some("https")
     }
 
-    /// Returns the host of the first address that is not on this machine.
+    /// Returns the first URL, as it was given, that is not on this machine.
     pub(crate) fn beyond_this_machine(&self) -> Option<&str> {
         let is_here = |uri: &Uri| {
             let host = uri.host().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');

@@ -5,7 +5,7 @@
 //! since the last reading evenly among the tasks that compute. If none computes, it shares the time among those that move bytes. If
 //! none moves bytes either, it shares the time among those that wait for their turn or for a thread; their frames are being
 //! prepared. The sum over all tasks is the process's time while it had any task. Its time without tasks counts as idle. Both
-//! together are the process's total time. The price is exactness for tasks that run side by side. Workers of one process share one
+//! together are the process's total time. The shares of tasks that run side by side are not exact. Workers of one process share one
 //! meter. If the coordinator is in the process, its time is included too.
 
 use std::collections::BTreeMap;

@@ -185,7 +185,7 @@ impl Uploads {
 }
 
 impl State {
-    /// Removes an entry without senders and interrupted upload.
+    /// Removes an entry that has neither senders nor an interrupted upload.
     fn tidy(&mut self, digest: &Digest) {
         if self.entries.get(digest).is_some_and(|entry| entry.senders == 0 && entry.parked.is_none()) {
             self.entries.remove(digest);

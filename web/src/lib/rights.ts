@@ -1,4 +1,4 @@
-/** Access rights, as in docs/security.md. The coordinator decides; the pages only do not offer what it would refuse. */
+/** Access rights, as in docs/security.md. The coordinator decides; the pages do not offer what it would refuse. */
 
 import type { Me, Role } from './types';
 

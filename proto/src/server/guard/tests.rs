@@ -43,7 +43,7 @@ const TABLE: [(&str, &[&str]); 19] = [
     ("Artifacts/Collect", &["admin"]),
 ];
 
-/// A server that answers every call that passes the guard with an error: it is stopping.
+/// A server without a coordinator: every call that passes the guard fails with "unavailable".
 struct Farm {
     folder: tempfile::TempDir,
     authority: Authority,

@@ -1,7 +1,8 @@
-//! The addresses of one farm's coordinators, of which one leads and answers.
+//! The addresses of a farm's coordinators. One of them leads and answers.
 //!
-//! A connection goes to the first that takes it. When it breaks, the next goes to the one after: who has just failed is
-//! asked last. So a client finds the leader again by itself, at the cost of refused connections to those that stand by.
+//! A client connects to the first address that accepts a connection. When the connection breaks, the client continues with the
+//! address after it, so the failed one is tried last. In this way a client finds the leader again by itself. The price is refused
+//! connections at the standby coordinators.
 
 use std::io;
 use std::net::IpAddr;
@@ -24,10 +25,10 @@ pub(crate) struct Addresses {
 }
 
 impl Addresses {
-    /// How long one of several may take to take a connection.
+    /// Connection timeout per address, if there are several.
     const PATIENCE: Duration = Duration::from_secs(2);
 
-    /// From a list with commas between.
+    /// Parses a comma-separated list.
     pub(crate) fn parse(list: &str) -> Result<Self, CallError> {
         let no_address = |message: String| CallError::Address { url: list.into(), message };
         let urls: Vec<String> = list.split(',').map(|url| url.trim().to_owned()).collect();
@@ -42,7 +43,7 @@ impl Addresses {
         if all.windows(2).any(|pair| pair[0].scheme() != pair[1].scheme()) {
             return Err(no_address("all begin with http://, or all with https://".into()));
         }
-        // The first that is tried is the one after the one in use.
+        // Start with the last, because the address after the one in use is tried first.
         let used = AtomicUsize::new(all.len() - 1);
         Ok(Self { all, urls, used })
     }
@@ -51,12 +52,12 @@ impl Addresses {
         self.all.len()
     }
 
-    /// For what must have one address to begin with.
+    /// Returns the first address, for APIs that need an address in advance.
     pub(crate) fn first(&self) -> Uri {
         self.all[0].clone()
     }
 
-    /// Host and port of the first.
+    /// Returns the host and port of the first address.
     pub(crate) fn first_place(&self) -> (String, u16) {
         self.place(&self.all[0])
     }
@@ -66,12 +67,12 @@ impl Addresses {
         (host, uri.port_u16().unwrap_or(if self.are_encrypted() { 443 } else { 80 }))
     }
 
-    /// Whether connections are encrypted.
+    /// Checks that connections are encrypted.
     pub(crate) fn are_encrypted(&self) -> bool {
         self.all[0].scheme_str() == Some("https")
     }
 
-    /// The first that is not on this machine, by what it is called.
+    /// Returns the first URL, as it was given, that is not on this machine.
     pub(crate) fn beyond_this_machine(&self) -> Option<&str> {
         let is_here = |uri: &Uri| {
             let host = uri.host().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
@@ -80,17 +81,17 @@ impl Addresses {
         self.all.iter().position(|uri| !is_here(uri)).map(|at| &*self.urls[at])
     }
 
-    /// The one in use.
+    /// Returns the address in use.
     pub(crate) fn used(&self) -> &str {
         &self.urls[self.used.load(Ordering::Relaxed)]
     }
 
-    /// All of them, as they were given.
+    /// Returns all addresses as they were given.
     pub(crate) fn list(&self) -> String {
         self.urls.join(",")
     }
 
-    /// A connection to the first that takes one, from the one after that in use.
+    /// Connects to the first address that accepts, starting after the address in use.
     pub(crate) async fn reach(self: Arc<Self>, dial: Dial) -> io::Result<Link> {
         let mut faults = Vec::new();
         let begin = self.used.load(Ordering::Relaxed) + 1;

@@ -1,4 +1,4 @@
-//! The token that goes along with every call.
+//! The token sent with every call.
 
 use femc_trust::Pass;
 use tonic::metadata::{Ascii, MetadataValue};
@@ -7,10 +7,10 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::Channel;
 use tonic::{Request, Status};
 
-/// A channel on which every call bears the token, if there is one.
+/// A channel that adds the token, if there is one, to every call.
 pub(crate) type Bearing = InterceptedService<Channel, Bearer>;
 
-/// A token as a header; none: calls go as they are.
+/// A token as a header; without a token, calls are unchanged.
 #[derive(Debug, Clone)]
 pub(crate) struct Bearer(Option<MetadataValue<Ascii>>);
 
@@ -18,7 +18,7 @@ impl Bearer {
     pub(crate) fn of(pass: Option<&Pass>) -> Self {
         let header = |pass: &Pass| {
             let mut text: MetadataValue<Ascii> = format!("Bearer {}", pass.token().secret()).parse().ok()?;
-            // Neither printed nor kept in tables of headers.
+            // A sensitive header is neither printed nor kept in header tables.
             text.set_sensitive(true);
             Some(text)
         };

@@ -1,4 +1,4 @@
-//! What a program that is not the coordinator uses: ask, fetch, and be a worker.
+//! The client side: for programs that query, submit and download, and for workers.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -31,8 +31,8 @@ use wire::backup_reply::Part as BackupPart;
 use wire::jobs_client::JobsClient;
 use wire::workers_client::WorkersClient;
 
-/// A connection to a coordinator; clones share it. It mends itself when the coordinator comes back, or when another of
-/// those that were given leads.
+/// A connection to a coordinator. Clones share it. It reconnects when the coordinator comes back, or when another of the given
+/// coordinators leads.
 #[derive(Debug, Clone)]
 pub struct Client {
     addresses: Arc<Addresses>,
@@ -40,16 +40,16 @@ pub struct Client {
 }
 
 impl Client {
-    /// How long one of several coordinators may take to answer the first call: one that is frozen takes connections.
+    /// Timeout of the first call, if there are several coordinators: a frozen one still accepts connections.
     const PATIENCE: Duration = Duration::from_millis(1500);
 
-    /// Connects to `urls`: one, such as `http://127.0.0.1:7878`, or several with commas between, of which the first that
-    /// answers is used.
+    /// Connects to `urls`: one address, such as `http://127.0.0.1:7878`, or several separated by commas. The first one that answers
+    /// is used.
     pub async fn connect(urls: &str) -> Result<Self, CallError> {
         Self::connect_by(&Dial::tcp(), urls).await
     }
 
-    /// The same over another network.
+    /// Connects like [`Self::connect`], but over the network of `dial`.
     pub async fn connect_by(dial: &Dial, urls: &str) -> Result<Self, CallError> {
         let addresses = Arc::new(Addresses::parse(urls)?);
         let mut left = addresses.count();
@@ -76,7 +76,7 @@ impl Client {
     async fn open(dial: &Dial, addresses: Arc<Addresses>) -> Result<Self, CallError> {
         let url = || addresses.list();
         let is_alone = addresses.count() == 1;
-        // Where another may have taken over, a coordinator that is silent is left soon.
+        // Leave a silent coordinator soon if another one may have taken over.
         let (every, patience) = if is_alone { (10, 10) } else { (1, 3) };
         let address = |message: String| CallError::Address { url: url(), message };
         let mut endpoint = Endpoint::from_shared(addresses.first().to_string())
@@ -116,7 +116,7 @@ impl Client {
         Ok(Self { addresses, channel: InterceptedService::new(channel, bearer) })
     }
 
-    /// The coordinator's address.
+    /// Returns the coordinator's address.
     pub fn url(&self) -> &str {
         self.addresses.used()
     }
@@ -133,59 +133,60 @@ impl Client {
         from_status(self.url(), status)
     }
 
-    /// Queues a job; a second submission with the same key gives the same job.
+    /// Submits a job. A second submission with the same key returns the same job.
     pub async fn submit(&self, key: Option<String>, spec: JobSpec) -> Result<JobId, CallError> {
         let request = wire::SubmitRequest { job: Some(spec.into()), key };
         let reply = self.jobs().submit(request).await.map_err(|status| self.error(&status))?;
         Ok(JobId(reply.into_inner().job))
     }
 
-    /// Every job.
+    /// Lists all jobs.
     pub async fn list(&self) -> Result<Vec<JobStatus>, CallError> {
         Ok(self.listing().await?.jobs)
     }
 
-    /// Every job, and what somebody should look after.
+    /// Lists all jobs, and the problems that need attention.
     pub async fn listing(&self) -> Result<Listing, CallError> {
         let reply = self.jobs().list(wire::ListRequest {}).await.map_err(|status| self.error(&status))?;
         let wire::ListReply { jobs, warnings } = reply.into_inner();
         Ok(Listing { jobs: each(jobs)?, warnings })
     }
 
-    /// One job.
+    /// Returns a job's status.
     pub async fn status(&self, job: JobId) -> Result<JobStatus, CallError> {
         let request = wire::StatusRequest { job: job.0 };
         let reply = self.jobs().status(request).await.map_err(|status| self.error(&status))?;
         Ok(reply.into_inner().try_into()?)
     }
 
-    /// The job's status now and at every change, until it has ended.
+    /// Streams the job's status, now and at every change, until the job has ended.
     pub async fn watch(&self, job: JobId) -> Result<Watch, CallError> {
         let request = wire::WatchRequest { job: job.0 };
         let reply = self.jobs().watch(request).await.map_err(|status| self.error(&status))?;
         Ok(Watch { url: self.url().into(), stream: reply.into_inner() })
     }
 
-    /// Pauses, resumes, cancels, retries, changes the priority.
+    /// Pauses, resumes, cancels or retries a job, or changes its priority.
     pub async fn control(&self, job: JobId, control: Control) -> Result<(), CallError> {
         let request = wire::ControlRequest { job: job.0, control: Some(control.into()) };
         self.jobs().control(request).await.map_err(|status| self.error(&status))?;
         Ok(())
     }
 
-    /// What there is of a job's frames in work, ascending.
+    /// Returns the parts of a job's unfinished frames, in ascending order.
     pub async fn parts(&self, job: JobId) -> Result<Vec<FrameParts>, CallError> {
         let request = wire::PartsRequest { job: job.0 };
         let reply = self.jobs().parts(request).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().frames)?)
     }
 
-    /// The finished frames of a job, ascending.
+    /// Returns the finished frames of a job, in ascending order.
     pub async fn frames(&self, job: JobId) -> Result<Vec<FrameRecord>, CallError> {
         self.ask_frames(wire::FramesRequest { job: job.0, times: false }).await
     }
 
-    /// The finished frames of a job, ascending, with the times of their attempts. An older coordinator leaves the times out.
+    /// Returns the finished frames of a job in ascending order, with the times of their attempts. An older coordinator leaves out
+    /// the times.
     pub async fn frames_with_times(&self, job: JobId) -> Result<Vec<FrameRecord>, CallError> {
         self.ask_frames(wire::FramesRequest { job: job.0, times: true }).await
     }
@@ -195,14 +196,14 @@ impl Client {
         Ok(each(reply.into_inner().frames)?)
     }
 
-    /// What workers wrote down while they did the job's tasks, oldest first, of attempts reported since then.
+    /// Returns the logs of a job's tasks for attempts reported since `since`, oldest first.
     pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, CallError> {
         let request = wire::LogsRequest { job: job.0, since: since.0 };
         let reply = self.jobs().logs(request).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().logs)?)
     }
 
-    /// What a job is made of, and what the attempts at its tasks took.
+    /// Returns a job's shape and the usage of its attempts.
     pub async fn attempts(&self, job: JobId) -> Result<(JobShape, Attempts), CallError> {
         let request = wire::AttemptsRequest { job: job.0 };
         let reply = self.jobs().attempts(request).await.map_err(|status| self.error(&status))?;
@@ -220,11 +221,11 @@ impl Client {
         Ok((need("attempts.job", shape)?, attempts))
     }
 
-    /// A job as it was submitted.
+    /// Returns a job as it was submitted.
     pub async fn spec(&self, job: JobId) -> Result<JobSpec, CallError> {
         let request = wire::AttemptsRequest { job: job.0 };
         let reply = self.jobs().attempts(request).await.map_err(|status| self.error(&status))?;
-        // It comes before the attempts.
+        // The spec comes before the attempts.
         let part = reply.into_inner().message().await.map_err(|status| self.error(&status))?;
         let Some(Part::Job(shape)) = part.and_then(|part| part.part) else {
             return Err(ConvertError::Missing { field: "attempts.job" }.into());
@@ -232,32 +233,32 @@ impl Client {
         Ok(*JobShape::try_from(shape)?.spec)
     }
 
-    /// The workers that are there, in order of joining.
+    /// Returns the connected workers in order of joining.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, CallError> {
         Ok(self.crew().await?.there)
     }
 
-    /// The workers that are there, and those that were.
+    /// Returns the connected workers and the former ones.
     pub async fn crew(&self) -> Result<Crew, CallError> {
         let reply =
             self.jobs().list_workers(wire::ListWorkersRequest {}).await.map_err(|status| self.error(&status))?;
         Ok(reply.into_inner().try_into()?)
     }
 
-    /// What the owners' jobs used of the farm, by month and owner.
+    /// Returns the farm usage of the owners' jobs, by month and owner.
     pub async fn usage(&self) -> Result<Vec<OwnerUsage>, CallError> {
         let reply = self.jobs().usage(wire::UsageRequest {}).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().usage)?)
     }
 
-    /// Gives workers no more tasks, or tasks again; returns the sessions that it was done to.
+    /// Stops or resumes dispatching tasks to workers; returns the affected sessions.
     pub async fn drain(&self, worker: WorkerName, drain: Drain) -> Result<Vec<WorkerId>, CallError> {
         let request = wire::DrainWorkersRequest::from((worker, drain));
         let reply = self.jobs().drain_workers(request).await.map_err(|status| self.error(&status))?;
         Ok(reply.into_inner().workers.into_iter().map(WorkerId).collect())
     }
 
-    /// A copy of the coordinator's log, written to `log`; what the log refers to and the store has.
+    /// Writes a copy of the coordinator's log to `log`. Returns the artifacts that the log refers to and that the store has.
     pub async fn backup(&self, mut log: impl AsyncWrite + Unpin) -> Result<Vec<Artifact>, BackupError> {
         let reply = self.jobs().backup(wire::BackupRequest {}).await.map_err(|status| self.error(&status))?;
         let (mut stream, mut artifacts) = (reply.into_inner(), Vec::new());
@@ -273,7 +274,7 @@ impl Client {
         Ok(artifacts)
     }
 
-    /// Those of `digests` that the coordinator's store does not have.
+    /// Returns those of `digests` that are not in the coordinator's store.
     pub async fn missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, CallError> {
         let request = wire::MissingRequest { digests: digests.iter().map(digest_bytes).collect() };
         let reply = self.artifacts().missing(request).await.map_err(|status| self.error(&status))?;
@@ -281,7 +282,7 @@ impl Client {
         Ok(digests.iter().map(|bytes| digest("missing.digest", bytes)).collect::<Result<_, ConvertError>>()?)
     }
 
-    /// Begins a worker's session.
+    /// Opens a worker's session.
     pub async fn session(&self, registration: Registration) -> Result<(Outgoing, Incoming), CallError> {
         let (send, receive) = mpsc::channel(256);
         let outgoing = Outgoing(send);
@@ -293,13 +294,13 @@ impl Client {
     }
 }
 
-/// An error and what caused it, on one line.
+/// Formats an error and its causes on one line.
 fn chain(error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(Some(error), |error| error.source());
     causes.last().map_or_else(String::new, ToString::to_string)
 }
 
-/// A job's statuses as they change.
+/// A stream of a job's statuses.
 #[derive(Debug)]
 pub struct Watch {
     url: String,
@@ -307,36 +308,36 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// The next status; `None` after that of the job's end.
+    /// Returns the next status; `None` after the job's last one.
     pub async fn next(&mut self) -> Result<Option<JobStatus>, CallError> {
         let status = self.stream.message().await.map_err(|status| from_status(&self.url, &status))?;
         Ok(status.map(JobStatus::try_from).transpose()?)
     }
 }
 
-/// A worker's way to the coordinator. Clones share it; the session ends when all are dropped.
+/// The sending half of a worker's session. Clones share it. The session ends when all of them are dropped.
 #[derive(Debug, Clone)]
 pub struct Outgoing(mpsc::Sender<FromWorker>);
 
 impl Outgoing {
-    /// Sends; waits while the connection is full. After the session's end the message goes nowhere, and the reader of
-    /// [`Incoming`] hears of the end.
+    /// Sends a message and waits while the connection is full. After the session's end the message is lost, and the reader of
+    /// [`Incoming`] gets the end of the stream.
     pub async fn send(&self, message: FromWorker) {
         let _ = self.0.send(message).await;
     }
 }
 
-/// The coordinator's way to a worker.
+/// The receiving half of a worker's session.
 #[derive(Debug)]
 pub struct Incoming {
     url: String,
     stream: Streaming<wire::ToWorker>,
-    /// Came together with the one before.
+    /// Messages received in the same batch as the one before.
     waiting: VecDeque<wire::ToWorker>,
 }
 
 impl Incoming {
-    /// The next message; `None` at the session's end.
+    /// Returns the next message; `None` at the session's end.
     pub async fn next(&mut self) -> Result<Option<ToWorker>, CallError> {
         loop {
             if let Some(message) = self.waiting.pop_front() {

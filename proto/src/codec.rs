@@ -1,5 +1,5 @@
-//! Messages as bytes, by prost. A number is written byte by byte, and into memory that is shared with the connection each byte
-//! costs a call: small messages are written to memory of their own first.
+//! Encodes messages with prost. prost writes a number byte by byte, and each byte costs a call if the memory is shared with the
+//! connection. So small messages are first written to a separate buffer.
 
 use std::marker::PhantomData;
 
@@ -9,7 +9,7 @@ use tonic::Status;
 use tonic::codec::{BufferSettings, EncodeBuf};
 use tonic_prost::{ProstCodec, ProstDecoder};
 
-/// The codec of all services.
+/// Codec of all services.
 #[derive(Debug)]
 pub(crate) struct Codec<T, U>(PhantomData<(T, U)>);
 
@@ -34,16 +34,17 @@ impl<T: Message + Send + 'static, U: Message + Default + Send + 'static> tonic::
     }
 }
 
-/// Writes messages of one stream.
+/// Encoder of the messages of one stream.
 #[derive(Debug)]
 pub(crate) struct Encoder<T> {
-    /// A small message.
+    /// Buffer for small messages.
     small: Vec<u8>,
     message: PhantomData<T>,
 }
 
 impl<T> Encoder<T> {
-    /// Bytes up to which a message is small; what is larger is mostly bytes that need no writing one by one.
+    /// Largest size in bytes of a small message. Larger messages consist mostly of byte strings, which are not written byte by
+    /// byte.
     const SMALL: usize = 16 << 10;
 }
 

@@ -1,4 +1,4 @@
-//! What may go wrong on the way, and refusals as statuses and back.
+//! Errors of calls, and the conversion of refusals to and from gRPC statuses.
 
 use femc_model::Refusal;
 use prost::Message as _;
@@ -7,85 +7,86 @@ use tonic::{Code, Status};
 use crate::convert::ConvertError;
 use crate::{tls, wire};
 
-/// A call that brought no answer.
+/// A failed call.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
-    /// The address makes no sense.
+    /// The address is invalid.
     #[error("{url} is no address of a coordinator: {message}")]
     Address {
         /// Address of the coordinator.
         url: String,
-        /// What is wrong with it.
+        /// Description of the error.
         message: String,
     },
-    /// The address asks for an identity, and none was given.
+    /// The address is encrypted and needs an identity or a token, but neither was given.
     #[error("{url} is encrypted, which takes an identity or a token")]
     NoIdentity {
         /// Address of the coordinator.
         url: String,
     },
-    /// A token would cross a network where others can read it.
+    /// The token would cross a network on which others can read it.
     #[error("{url} is neither encrypted nor on this machine: the token is not sent there")]
     OpenToken {
         /// Address of the coordinator.
         url: String,
     },
-    /// The address is encrypted, and by the token alone the coordinator cannot be known.
+    /// The address is encrypted, but the token's file has no certificate to verify the coordinator with.
     #[error("{url} is encrypted, and the token's file has no certificate of the farm's authority")]
     NoAuthority {
         /// Address of the coordinator.
         url: String,
     },
-    /// Nobody answers there, or the connection broke.
+    /// The address does not answer, or the connection broke.
     #[error("the coordinator at {url} cannot be reached: {message}")]
     Unreachable {
-        /// The address.
+        /// Address of the coordinator.
         url: String,
         /// Error of the transport.
         message: String,
-        /// Cause, as far as the error tells it.
+        /// Cause, if the error reveals it.
         why: Why,
     },
     /// The coordinator refused the call.
     #[error(transparent)]
     Refused(#[from] Refusal),
-    /// The answer makes no sense.
+    /// The coordinator's answer is invalid.
     #[error("the coordinator's answer makes no sense: {0}")]
     Answer(#[from] ConvertError),
-    /// The server failed in another way, or did not understand.
+    /// The server failed in another way, or did not understand the call.
     #[error("the coordinator says {code}: {message}")]
     Status {
-        /// gRPC's code.
+        /// gRPC status code.
         code: String,
         /// Message of the server.
         message: String,
     },
 }
 
-/// Why a coordinator cannot be reached, as far as the transport tells.
+/// Cause why a coordinator cannot be reached, if the transport reveals it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Why {
-    /// Nobody is there, the connection broke, or who is there speaks otherwise: [`look`](crate::look) tells.
+    /// The address does not answer, the connection broke, or the server speaks another protocol; [`look`](crate::look)
+    /// distinguishes them.
     #[default]
     Away,
-    /// It shows a certificate that the authority of the identity, or of the token, has not issued.
+    /// The server's certificate was not issued by the authority of the identity or token.
     TheirCertificate,
-    /// It does not take the certificate that it was shown.
+    /// The server rejects the client's certificate.
     OurCertificate,
 }
 
-/// A backup that did not come to its end.
+/// Error of a backup.
 #[derive(Debug, thiserror::Error)]
 pub enum BackupError {
-    /// The coordinator.
+    /// The call failed.
     #[error(transparent)]
     Call(#[from] CallError),
-    /// What it said cannot be kept.
+    /// The copy cannot be written.
     #[error("the copy cannot be written: {0}")]
     Write(#[from] std::io::Error),
 }
 
-/// A server that could not begin or go on.
+/// Error of a server that cannot start or continue.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// The transport failed.
@@ -99,10 +100,10 @@ pub enum ServeError {
     Identity(#[from] IdentityError),
 }
 
-/// An identity that cannot be used for TLS.
+/// Error of an identity that cannot be used for TLS.
 #[derive(Debug, thiserror::Error)]
 pub enum IdentityError {
-    /// A certificate or the key is not PEM.
+    /// A certificate or the key is not valid PEM.
     #[error("cannot read a certificate or the key: {0}")]
     Pem(#[from] rustls::pki_types::pem::Error),
     /// The authority's certificate cannot verify clients.
@@ -113,7 +114,7 @@ pub enum IdentityError {
     Tls(#[from] rustls::Error),
 }
 
-/// Exhaustive: a new refusal must choose its code.
+/// Returns the gRPC code of a refusal. The match is exhaustive, so a new refusal must choose its code.
 fn code(refusal: &Refusal) -> Code {
     match refusal {
         Refusal::NoSuchJob { .. } | Refusal::NoSuchArtifact { .. } | Refusal::NoSuchWorker { .. } => Code::NotFound,
@@ -145,7 +146,7 @@ pub(crate) fn from_status(url: &str, status: &Status) -> CallError {
         Code::Unavailable | Code::Cancelled | Code::DeadlineExceeded => {
             CallError::Unreachable { url: url.into(), message, why }
         }
-        // A connection that breaks within an answer has no code of its own.
+        // A connection that breaks within an answer has no gRPC code of its own.
         Code::Unknown | Code::Internal if std::error::Error::source(status).is_some() => {
             CallError::Unreachable { url: url.into(), message, why }
         }
@@ -165,7 +166,7 @@ mod tests {
     use crate::convert::tests::refusals;
     use prost_types::FileDescriptorSet;
 
-    /// `NOT_FOUND`
+    /// Returns the code as the .proto writes it, such as `NOT_FOUND`.
     fn documented(code: Code) -> String {
         let mut out = String::new();
         for c in format!("{code:?}").chars() {
@@ -193,7 +194,7 @@ mod tests {
             let (number, _) = prost::encoding::decode_key(&mut &bytes[..]).unwrap();
             let (comment, code) = (comment(number), documented(code(&refusal)));
             let is_documented = comment.contains(&format!("Status {code}."));
-            // No call is answered by it.
+            // `StaleEpoch` is not the answer of any call, so it has no documented status.
             assert!(is_documented != (refusal == Refusal::StaleEpoch), "{refusal}: {code}, not {comment}");
         }
     }

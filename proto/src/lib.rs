@@ -1,8 +1,8 @@
-//! The wire: `femc/v1/femc.proto`, and typed clients and servers for it in the farm's own terms.
+//! The wire protocol: `femc/v1/femc.proto`, with clients and servers that use the farm's own types.
 //!
-//! The generated types stay in here. What comes in is checked once, on conversion; a message that makes no sense is a
-//! [`ConvertError`], never a default. Refusals travel as an enum in the status's details, beside code and text for
-//! other people's tools.
+//! The generated types are private to this crate. Every received message is checked once, on conversion. An invalid message is a
+//! [`ConvertError`], never a default. A refusal travels as an enum in the status's details; the status's code and text serve other
+//! tools.
 #![deny(missing_docs)]
 
 mod addresses;
@@ -33,20 +33,22 @@ pub use server::{
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
-/// Version of the protocol: a worker says it when it registers. From 5 on a job is a graph of stages.
+/// Version of the protocol. A worker sends it when it registers. From version 5 on, a job is a graph of stages.
 pub const PROTOCOL: u32 = 5;
 
-/// Oldest version of workers that a coordinator takes: one before its own, so that a farm is upgraded while it works, the
-/// coordinator first. It sends them nothing that they do not know; those before 5, which know no graphs, it refuses.
+/// Oldest worker version that a coordinator accepts: one before its own, so that a running farm can be upgraded, the coordinator
+/// first. The coordinator sends older workers nothing that they do not know. It refuses versions before 5, which do not know
+/// graphs.
 pub const OLDEST: u32 = if PROTOCOL > 5 { PROTOCOL - 1 } else { 5 };
 
-/// Bytes of an artifact that travel in one message.
+/// Largest number of artifact bytes in one message.
 pub const PIECE: usize = 1 << 20;
 
-/// Most bytes of a message of the services `Jobs` and `Workers`.
+/// Largest size in bytes of a message of the services `Jobs` and `Workers`.
 pub const MESSAGE: usize = Limits::MESSAGE;
 
-/// The same of what a worker takes from its coordinator: an assignment names all that its task reads, [`Graph::MAX_INPUTS`] at most.
+/// Largest size in bytes of a message that a worker accepts from its coordinator. An assignment names all inputs of its task, at
+/// most [`Graph::MAX_INPUTS`].
 ///
 /// [`Graph::MAX_INPUTS`]: femc_model::Graph::MAX_INPUTS
 pub const ASSIGNMENT: usize = 96 << 20;

@@ -1,4 +1,4 @@
-//! What is at an address that does not answer as a coordinator does: so that people hear what is wrong, and not only that something is.
+//! Probes an address that does not answer like a coordinator, so that the error says what is wrong.
 
 use std::time::Duration;
 
@@ -7,31 +7,31 @@ use tokio::net::TcpStream;
 
 use crate::addresses::Addresses;
 
-/// What was found at an address.
+/// Result of a probe.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Found {
-    /// Nobody takes connections there, or there is no such place.
+    /// The connection fails: it is refused or times out, or the address does not exist.
     Nobody {
         /// Error of the operating system.
         message: String,
     },
-    /// Somebody who speaks HTTP/2 in the open, as a coordinator without an identity does.
+    /// A server that speaks unencrypted HTTP/2, like a coordinator without an identity.
     Open,
-    /// Somebody who speaks TLS, as a coordinator with an identity does.
+    /// A server that speaks TLS, like a coordinator with an identity.
     Encrypted,
-    /// Somebody who takes connections and says nothing: it is stopped, or passes on what nobody takes at its other end.
+    /// A server that accepts connections but sends nothing: a stopped process, or a forwarder without a target.
     Silent,
-    /// Somebody who speaks otherwise.
+    /// A server of another protocol.
     Other,
 }
 
-/// How long somebody may take to take the connection, and to say something.
+/// Timeout for accepting the connection, and for the first bytes.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// What a client of HTTP/2 says first: the preface and its settings, none.
+/// First bytes of an HTTP/2 client: the preface and empty settings.
 const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 
-/// Looks who is at `url`: one address, over TCP. Sends the first words of HTTP/2 and reads the first of the answer.
+/// Probes `url`, one address, over TCP: sends the first bytes of HTTP/2 and reads the first bytes of the answer.
 pub async fn look(url: &str) -> Found {
     let nobody = |message: String| Found::Nobody { message };
     let Ok(addresses) = Addresses::parse(url) else { return nobody("it is no address".into()) };
@@ -47,12 +47,12 @@ pub async fn look(url: &str) -> Found {
         while answer.len() < 4 && stream.read_buf(&mut answer).await? > 0 {}
         std::io::Result::Ok(())
     };
-    // Who says nothing, or breaks off, has still said what he has said.
+    // After a timeout or an error, the bytes received so far still count.
     let _ = tokio::time::timeout(PATIENCE, talk).await;
     match answer[..] {
-        // A record of TLS, an alert or part of a handshake.
+        // A TLS record: an alert or part of a handshake.
         [0x15 | 0x16, 3, ..] => Found::Encrypted,
-        // A frame of settings.
+        // A SETTINGS frame.
         [_, _, _, 4, ..] => Found::Open,
         [] => Found::Silent,
         _ => Found::Other,
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
     use tokio::net::TcpListener;
 
-    /// Somebody who answers everything with these bytes.
+    /// Starts a server that answers everything with these bytes.
     async fn says(bytes: &'static [u8]) -> String {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());

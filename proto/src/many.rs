@@ -1,22 +1,22 @@
-//! Small messages of a session that are ready at the same time travel as one: most of what a message costs is its envelope.
+//! Batches small messages of a session that are ready at the same time, because most of a message's cost is its envelope.
 
 use futures_util::StreamExt as _;
 use futures_util::stream::{self, Stream};
 
 use crate::wire;
 
-/// Most messages that travel together.
+/// Largest number of messages in a batch.
 const MOST: usize = 128;
 
-/// Bytes beyond which a message travels alone, so that all of them together stay far below the limit of a message.
+/// Size in bytes above which a message is sent alone, so that a batch stays far below the size limit of a message.
 const SMALL: usize = 4 << 10;
 
-/// A message that may hold others of its kind.
+/// A message type that can contain a batch of its own kind.
 pub(crate) trait Many: prost::Message + Sized {
-    /// One message for several.
+    /// Combines several messages into one.
     fn join(messages: Vec<Self>) -> Self;
 
-    /// The several, or the message itself.
+    /// Splits a batch into its messages; returns the message itself if it is not a batch.
     fn split(self) -> Result<Vec<Self>, Self>;
 }
 
@@ -46,7 +46,7 @@ impl Many for wire::FromWorker {
     }
 }
 
-/// The same messages in fewer envelopes; nothing waits for anything.
+/// Batches the messages that are ready. It never waits for more.
 pub(crate) fn together<T: Many + Send + 'static>(messages: impl Stream<Item = T>) -> impl Stream<Item = T> {
     messages.ready_chunks(MOST).flat_map(|ready| stream::iter(pack(ready)))
 }

@@ -1,4 +1,4 @@
-//! How connections come about: over TCP, or as a simulation of a network has it.
+//! The network layer: connections over TCP or over a simulated network.
 
 use std::fmt;
 use std::future::Future;
@@ -11,16 +11,16 @@ use femc_trust::{Identity, Pass};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tonic::transport::server::Connected;
 
-/// A way of bytes in both directions.
+/// A bidirectional byte stream.
 pub trait Io: AsyncRead + AsyncWrite + Send + Unpin + 'static {}
 
 impl<T: AsyncRead + AsyncWrite + Send + Unpin + 'static> Io for T {}
 
-/// A connection from one end.
+/// One end of a connection.
 pub struct Link(Box<dyn Io>);
 
 impl Link {
-    /// Over these bytes.
+    /// Wraps a byte stream.
     pub fn new(io: impl Io) -> Self {
         Self(Box::new(io))
     }
@@ -58,12 +58,12 @@ impl Connected for Link {
     fn connect_info(&self) {}
 }
 
-/// A connection on its way.
+/// A connection being established.
 pub type Dialing = Pin<Box<dyn Future<Output = io::Result<Link>> + Send>>;
 
 type Way = dyn Fn(String, u16) -> Dialing + Send + Sync;
 
-/// How a client reaches a coordinator, and who it says that it is.
+/// The way in which a client connects to a coordinator, and its identity or token.
 #[derive(Clone, Default)]
 pub struct Dial {
     pub(crate) way: Option<Arc<Way>>,
@@ -72,22 +72,22 @@ pub struct Dial {
 }
 
 impl Dial {
-    /// Over TCP.
+    /// Creates a dialer for TCP.
     pub fn tcp() -> Self {
         Self::default()
     }
 
-    /// By `dial`, which gets host and port.
+    /// Creates a dialer that calls `dial` with host and port.
     pub fn by(dial: impl Fn(String, u16) -> Dialing + Send + Sync + 'static) -> Self {
         Self { way: Some(Arc::new(dial)), ..Self::default() }
     }
 
-    /// With this identity, which addresses that begin with `https://` ask for.
+    /// Adds an identity, which addresses that begin with `https://` require.
     pub fn with(self, identity: Identity) -> Self {
         Self { identity: Some(Arc::new(identity)), ..self }
     }
 
-    /// With this token, which is sent where nobody else can read it: encrypted, or within this machine.
+    /// Adds a token. It is only sent where nobody else can read it: over encrypted connections or within this machine.
     pub fn bearing(self, pass: Pass) -> Self {
         Self { pass: Some(Arc::new(pass)), ..self }
     }

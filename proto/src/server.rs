@@ -1,4 +1,4 @@
-//! What the coordinator uses: every call comes to it as a [`Call`] with a place for the answer.
+//! The server side, for the coordinator: it receives every call as a [`Call`] with a channel for the answer.
 
 mod artifacts;
 mod backup;
@@ -47,10 +47,10 @@ use wire::artifacts_server::ArtifactsServer;
 use wire::jobs_server::JobsServer;
 use wire::workers_server::WorkersServer;
 
-/// A request, to be answered in its own time.
+/// A request that the coordinator answers asynchronously.
 pub type Call = femc_service::Call<Session>;
 
-/// A worker's session. It ends when `out` is dropped, or when `messages` does.
+/// A worker's session. It ends when `out` or `messages` is dropped.
 #[derive(Debug)]
 pub struct Session {
     /// Registration of the worker.
@@ -61,11 +61,11 @@ pub struct Session {
     pub out: mpsc::Sender<ToWorker>,
 }
 
-/// What a worker says after it registered.
+/// Messages of a worker after its registration.
 #[derive(Debug)]
 pub struct WorkerMessages {
     stream: Streaming<wire::FromWorker>,
-    /// Came together with the one before.
+    /// Messages received in the same batch as the one before.
     waiting: VecDeque<wire::FromWorker>,
     caller: Option<Arc<Caller>>,
 }
@@ -75,7 +75,7 @@ impl WorkerMessages {
         Self { stream, waiting: VecDeque::new(), caller }
     }
 
-    /// The next message; `None` at the end, also when the connection broke or the worker's identity counts no more.
+    /// Returns the next message; `None` at the end, also when the connection breaks or the worker's identity is revoked.
     pub async fn next(&mut self) -> Option<Result<FromWorker, ConvertError>> {
         loop {
             if self.caller.as_ref().is_some_and(|caller| !caller.still_counts()) {
@@ -92,19 +92,19 @@ impl WorkerMessages {
     }
 }
 
-/// The three services, health and reflection on one port.
+/// Server of the three services, health and reflection on one port.
 #[derive(Debug, Clone)]
 pub struct Server {
-    /// The way to the coordinator.
+    /// Channel to the coordinator.
     farm: Farm<Session>,
-    /// Store of the artifacts.
+    /// Artifact store.
     store: Store,
     uploads: Uploads,
     places: Places,
     promised: Promised,
-    /// Held while garbage is collected.
+    /// Lock held during a garbage collection.
     collecting: Arc<tokio::sync::Mutex<()>>,
-    /// Who it is and whom it lets in; `None`: connections are not encrypted, and everybody may do everything.
+    /// The server's identity and access rules; `None`: connections are not encrypted, and everybody may do everything.
     entrance: Option<Entrance>,
     traffic: Traffic,
     limits: Limits,
@@ -112,27 +112,27 @@ pub struct Server {
     site: Site,
 }
 
-/// What stands before the services, the first at the end.
+/// Middleware in front of the services; the outermost layer is at the end.
 type Layers = Stack<Guard, Stack<Traffic, tower::layer::util::Identity>>;
 
-/// The services whose health is told; also told is that of `""`, the server as a whole.
+/// Services with a health status. `""`, the server as a whole, has one too.
 const SERVICES: [&str; 3] =
     [wire::jobs_server::SERVICE_NAME, wire::workers_server::SERVICE_NAME, wire::artifacts_server::SERVICE_NAME];
 
-/// The door of a server that lets in only those it knows.
+/// Access rules of a server with access control.
 #[derive(Debug, Clone)]
 pub struct Entrance {
-    /// A coordinator's: connections are encrypted, and whoever shows an identity of the same authority is let in, and may do
-    /// what its role may. `None`: connections are not encrypted, and only tokens count.
+    /// The coordinator's identity: connections are encrypted, and clients with an identity of the same authority get the rights of
+    /// their role. `None`: connections are not encrypted, and only tokens are accepted.
     pub identity: Option<Identity>,
-    /// Identities that count no more.
+    /// Revoked identities.
     pub revoked: Option<Revoked>,
-    /// Who may come with a token instead of an identity.
+    /// Tokens of clients without an identity.
     pub tokens: Option<Tokens>,
 }
 
 impl Server {
-    /// Passes calls on to `calls`; artifacts live in `store`.
+    /// Creates a server that passes calls on to `calls` and keeps artifacts in `store`.
     pub fn new(calls: mpsc::Sender<Call>, store: Store) -> Self {
         let limits = Limits::default();
         Self {
@@ -150,32 +150,32 @@ impl Server {
         }
     }
 
-    /// Lets in only those who belong, if there is an entrance.
+    /// Sets the access rules; `None` disables access control.
     pub fn behind(self, entrance: Option<Entrance>) -> Self {
         Self { entrance, ..self }
     }
 
-    /// Counted by `traffic`, over several servers if it is the same one.
+    /// Sets the counters of the traffic. Several servers may share them.
     pub fn counted(self, traffic: Traffic) -> Self {
         Self { traffic, ..self }
     }
 
-    /// Lets its peers have so much.
+    /// Sets the limits for clients.
     pub fn within(self, limits: Limits) -> Self {
         Self { limits, places: Places::new(&limits), ..self }
     }
 
-    /// Notes changes and refusals there.
+    /// Sets the audit record for changes and refusals.
     pub fn noting(self, audit: Option<Audit>) -> Self {
         Self { audit, ..self }
     }
 
-    /// Shows browsers this.
+    /// Sets the web pages for browsers.
     pub fn showing(self, site: Site) -> Self {
         Self { site, ..self }
     }
 
-    /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
+    /// Serves the incoming connections until `stop` completes, then until the open calls have ended.
     pub async fn serve<C: Io + Connected>(
         self,
         incoming: impl Stream<Item = io::Result<C>>,
@@ -192,7 +192,7 @@ impl Server {
         Ok(router.serve_with_incoming_shutdown(incoming, stop).await?)
     }
 
-    /// Serves for ever: who drops this ends the connections himself.
+    /// Serves forever. Dropping the future closes the connections.
     pub async fn serve_on<C: Io + Connected>(
         self,
         incoming: impl Stream<Item = io::Result<C>>,
@@ -201,7 +201,7 @@ impl Server {
         Ok(self.router().await?.0.serve_with_incoming(incoming).await?)
     }
 
-    /// The connections that are let in, after their handshakes.
+    /// Returns the admitted connections after their TLS handshakes.
     fn connections<C: Io + Connected, I: Stream<Item = io::Result<C>>>(
         &self,
         incoming: I,
@@ -254,18 +254,18 @@ impl Server {
         Ok((router, reporter))
     }
 
-    /// Passes a call on and waits for its answer.
+    /// Passes a call on to the coordinator and waits for its answer.
     async fn ask<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, tonic::Status> {
         self.question(call).await.map_err(|refusal| crate::error::to_status(&refusal))
     }
 
-    /// The same for those who decide by the refusal.
+    /// Passes a call on like [`Self::ask`], for callers that need the refusal itself.
     async fn question<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, Refusal> {
         self.farm.ask(call).await
     }
 }
 
-/// What the call that this request makes leaves in the audit record.
+/// Returns the audit trail of this request's call.
 fn trail<T>(request: &Request<T>) -> Trail {
     request.extensions().get().cloned().unwrap_or_default()
 }

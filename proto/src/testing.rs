@@ -1,4 +1,4 @@
-//! Every message of the wire as a decoder of bytes, for fuzzing: generated types stay in here all the same.
+//! Decoders for every message of the wire, for fuzzing. The generated types stay private.
 
 use femc_model::{
     Artifact, AttemptRecord, Crew, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord,
@@ -12,20 +12,20 @@ use crate::many::Many;
 use crate::server::Collected;
 use crate::wire;
 
-/// The descriptions of all messages: a `FileDescriptorSet`.
+/// Descriptors of all messages: a `FileDescriptorSet`.
 pub const DESCRIPTORS: &[u8] = wire::DESCRIPTORS;
 
-/// What receives one kind of message.
+/// A decoder of one message type.
 #[derive(Debug, Clone, Copy)]
 pub struct Decoder {
-    /// The message's name in `femc.v1`.
+    /// Name of the message in `femc.v1`.
     pub message: &'static str,
-    /// Whether bytes are such a message, and it makes sense.
-    /// - panics: if what was understood becomes another message when it is sent on.
+    /// Checks that bytes are a valid message of this type.
+    /// - panics: if the decoded message changes when it is encoded and decoded again.
     pub decode: fn(&[u8]) -> bool,
 }
 
-/// Understood, sent on, and understood again: the same message.
+/// Decodes a message, encodes it, decodes it again, and checks that nothing changed.
 fn there_and_back<W, M>(wire: W) -> bool
 where
     W: Message + Default + From<M>,
@@ -44,7 +44,7 @@ where
     W: Message + Default + From<M>,
     M: TryFrom<W, Error = ConvertError>,
 {
-    // Also those behind one that makes no sense.
+    // Check all elements, also those behind an invalid one.
     let senseless = all.into_iter().map(there_and_back::<W, M>).filter(|is_good| !is_good).count();
     senseless == 0
 }
@@ -53,7 +53,7 @@ fn are_digests(all: &[Vec<u8>]) -> bool {
     all.iter().all(|bytes| digest("digest", bytes).is_ok())
 }
 
-/// As a session takes them apart.
+/// Splits a message into its batch, like a session.
 fn messages<W, M>(wire: W) -> bool
 where
     W: Many + Default + From<M>,
@@ -77,7 +77,7 @@ macro_rules! decoders {
     };
 }
 
-/// One for each message that a call takes or gives, and for the refusals in statuses.
+/// Decoders of every request and reply message, and of the refusals in statuses.
 pub const DECODERS: &[Decoder] = decoders! {
     SubmitRequest => |wire| need("job", wire.job).is_ok_and(there_and_back::<_, JobSpec>);
     SubmitReply => |_| true;
@@ -109,7 +109,7 @@ pub const DECODERS: &[Decoder] = decoders! {
         None => false,
     };
     UsageRequest => |_| true;
-    // Seconds as doubles: sums beyond 2^53 microseconds are rounded on their way.
+    // Seconds travel as doubles, so sums beyond 2^53 microseconds are rounded.
     UsageReply => |wire| wire.usage.into_iter().all(|usage| OwnerUsage::try_from(usage).is_ok());
     ListWorkersRequest => |_| true;
     ListWorkersReply => there_and_back::<_, Crew>;

@@ -1,4 +1,4 @@
-//! Encryption: a coordinator shows a certificate of the farm's authority, and so does its client, or a token.
+//! Encryption: the coordinator presents a certificate of the farm's authority. The client presents one too, or a token.
 
 use std::error::Error;
 use std::sync::Arc;
@@ -13,13 +13,13 @@ use tonic::transport::{Certificate, ClientTlsConfig};
 
 use crate::error::{IdentityError, Why};
 
-/// What a broken connection says about certificates.
+/// Returns the cause of a broken connection, if it is about certificates.
 pub(crate) fn why(error: &(dyn Error + 'static)) -> Why {
     let causes = std::iter::successors(Some(error), |&error| error.source());
     causes.filter_map(of_tls).map(of_certificates).find(|why| *why != Why::Away).unwrap_or_default()
 }
 
-/// An error of TLS, as it is or within one of input and output.
+/// Returns a TLS error, also one within an I/O error.
 fn of_tls<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> {
     let within = || error.downcast_ref::<std::io::Error>()?.get_ref()?.downcast_ref();
     error.downcast_ref().or_else(within)
@@ -43,12 +43,12 @@ fn of_certificates(error: &rustls::Error) -> Why {
     }
 }
 
-/// What clients of a server show.
+/// Credentials that a server demands from its clients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Clients {
     /// A certificate of the same authority.
     ShowIdentities,
-    /// That, or nothing: then a token comes with each call.
+    /// A certificate of the same authority, or none; then each call needs a token.
     MayShowTokens,
 }
 
@@ -56,20 +56,20 @@ fn own(identity: &Identity) -> tonic::transport::Identity {
     tonic::transport::Identity::from_pem(identity.certificate(), identity.key())
 }
 
-/// Believes whoever shows a coordinator's certificate of this authority, whatever address it is reached at.
+/// Creates a client configuration that trusts every coordinator certificate of this authority, whatever the address.
 pub(crate) fn known_by(authority: &str) -> ClientTlsConfig {
     ClientTlsConfig::new().ca_certificate(Certificate::from_pem(authority)).domain_name(COORDINATOR_HOST)
 }
 
-/// The same, and shows its own.
+/// Creates a client configuration like [`known_by`] that also presents the client's certificate.
 pub(crate) fn client(identity: &Identity) -> ClientTlsConfig {
     known_by(identity.authority()).identity(own(identity))
 }
 
-/// Protocols that a coordinator speaks over TLS, the preferred one first: gRPC needs HTTP/2, other programs may use either.
+/// Protocols that a coordinator speaks over TLS, the preferred one first. gRPC needs HTTP/2; other programs may use either.
 const PROTOCOLS: [&[u8]; 2] = [b"h2", b"http/1.1"];
 
-/// Lets in whoever shows a certificate of the same authority.
+/// Creates a server configuration that accepts certificates of the same authority.
 pub(crate) fn server(identity: &Identity, clients: Clients) -> Result<ServerConfig, IdentityError> {
     let certificate = |pem: &str| CertificateDer::from_pem_slice(pem.as_bytes());
     let provider = Arc::new(ring::default_provider());

@@ -1,4 +1,4 @@
-//! Artifacts up and down, and out. A transfer that is cut goes on where it was, by itself, as long as it gets on.
+//! Upload, download and garbage collection of artifacts. An interrupted transfer resumes by itself as long as it makes progress.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -15,20 +15,20 @@ use crate::{PIECE, wire};
 use wire::offer_reply::Answer;
 use wire::put_request::Part;
 
-/// Which way a transfer goes.
+/// Direction of a transfer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Direction {
     /// To the store.
     Up,
-    /// From it.
+    /// From the store.
     Down,
 }
 
-/// How long a transfer tries again without getting on.
+/// Retry state of a transfer; limits the time without progress.
 struct Patience {
     direction: Direction,
     reached: u64,
-    /// The first failure since it got on.
+    /// Time of the first failure since the last progress.
     failing: Option<Instant>,
     pause: Duration,
 }
@@ -48,11 +48,11 @@ impl Patience {
         }
     }
 
-    /// Waits before another try, if one makes sense.
+    /// Waits before a retry. Returns the error if a retry makes no sense or the time is over.
     async fn after(&mut self, error: CallError) -> Result<(), CallError> {
         let makes_sense = match &error {
             CallError::Unreachable { .. } | CallError::Refused(Refusal::Resume { .. }) => true,
-            // What lay there was another sender's, and not what it was said to be; it is forgotten.
+            // The part stored by an earlier sender had wrong bytes. The server has dropped it, so a retry can succeed.
             CallError::Refused(Refusal::DigestMismatch { .. }) => self.direction == Direction::Up && self.reached > 0,
             CallError::Refused(_)
             | CallError::Address { .. }
@@ -63,7 +63,7 @@ impl Patience {
             | CallError::Status { .. } => false,
         };
         if let CallError::Refused(Refusal::Resume { offset }) = &error {
-            // Another has got on with it.
+            // Another sender has made progress with the upload.
             self.reached(*offset);
         }
         let since = *self.failing.get_or_insert_with(Instant::now);
@@ -78,7 +78,7 @@ impl Patience {
 }
 
 impl Client {
-    /// Puts an artifact into the coordinator's store, unless it is there.
+    /// Uploads an artifact to the coordinator's store unless it is there.
     pub async fn put(&self, bytes: Bytes) -> Result<Artifact, CallError> {
         let artifact = Artifact::of(&bytes);
         let mut patience = Patience::new(Direction::Up);
@@ -90,7 +90,7 @@ impl Client {
         }
     }
 
-    /// Puts those of `all` that are not there; how many bytes they have.
+    /// Uploads those of `all` that are not in the store; returns their total size in bytes.
     pub async fn put_all(&self, all: &[Bytes]) -> Result<u64, CallError> {
         let digests: Vec<Digest> = all.iter().map(|bytes| Digest::of(bytes)).collect();
         let mut missing: BTreeSet<Digest> = self.missing(&digests).await?.into_iter().collect();
@@ -110,7 +110,7 @@ impl Client {
         let reply = self.artifacts().offer(offer).await.map_err(|status| self.error(&status))?;
         let from = match need("offer.answer", reply.into_inner().answer)? {
             Answer::There(_) => return Ok(()),
-            // More than there is: the upload's first sender had other bytes. Begin anew.
+            // The stored part is longer than the artifact, so an earlier sender had other bytes. Begin at 0.
             Answer::From(from) if from > artifact.bytes => 0,
             Answer::From(from) => from,
         };
@@ -127,12 +127,12 @@ impl Client {
         if kept == *artifact { Ok(()) } else { Err(Refusal::DigestMismatch { digest: artifact.digest }.into()) }
     }
 
-    /// An artifact's bytes, checked; refused beyond `limit` bytes.
+    /// Downloads an artifact and checks its digest. Fails beyond `limit` bytes.
     pub async fn get(&self, name: &Digest, limit: u64) -> Result<Bytes, CallError> {
         self.whole(name, None, limit).await
     }
 
-    /// The same of one whose size is known: with another one it is damaged.
+    /// Downloads an artifact like [`Self::get`] when its size is known. Another size counts as damage.
     pub async fn get_exactly(&self, artifact: &Artifact) -> Result<Bytes, CallError> {
         let Artifact { digest, bytes } = artifact;
         match self.whole(digest, Some(*bytes), *bytes).await {
@@ -156,7 +156,7 @@ impl Client {
         Ok(bytes.freeze())
     }
 
-    /// Takes in what is not here yet.
+    /// Downloads the bytes that are still missing.
     async fn receive(
         &self,
         name: &Digest,
@@ -176,8 +176,7 @@ impl Client {
         Ok(())
     }
 
-    /// Removes from the store what no job refers to and what has been there for longer than `grace`, or says what that
-    /// would be.
+    /// Collects garbage: removes artifacts that no job refers to and that are older than `grace`, or only counts them.
     pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, CallError> {
         let grace = u64::try_from(grace.as_millis()).unwrap_or(u64::MAX);
         let request = wire::CollectRequest { mode: wire::CollectMode::from(mode).into(), grace };

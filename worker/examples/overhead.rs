@@ -1,4 +1,4 @@
-//! What the farm costs: the same frame by direct calls on one pool, and through an embedded coordinator and worker.
+//! Measures the overhead of the farm: renders a frame by direct calls on one pool, then through an embedded coordinator and worker.
 //!
 //! `cargo run --release -p femc-worker --example overhead -- SCENE [SPP] [SIDE]`
 
@@ -16,7 +16,7 @@ use femc_pipeline::{Settings, Stop};
 use femc_proto::Client;
 use femc_worker::{Parcel, Worker};
 
-/// Processor seconds of this process so far, where the system says: a busy machine does not change them.
+/// Returns the processor seconds of this process so far, where the system reports them. A busy machine does not change them.
 fn processor() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields).split_whitespace();

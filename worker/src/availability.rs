@@ -1,4 +1,4 @@
-//! When a worker takes tasks: its hours, and how long it waits for one.
+//! The times at which a worker takes tasks: its working hours and its idle limit.
 
 use std::fmt;
 use std::sync::Arc;
@@ -11,18 +11,18 @@ use crate::table::Table;
 /// Whether a worker takes tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Availability {
-    /// It does.
+    /// Takes tasks.
     Available,
-    /// It finishes what it has begun, stays connected, and begins nothing.
+    /// Finishes the tasks that have begun, stays connected, and begins no new task.
     Off,
 }
 
-/// Says at any time whether the worker takes tasks.
+/// The worker's schedule: says at any time whether the worker takes tasks.
 #[derive(Clone)]
 pub struct Shift(Arc<dyn Fn() -> Availability + Send + Sync>);
 
 impl Shift {
-    /// As `shift` says; it is asked at every heartbeat.
+    /// Creates a schedule from `shift`, which is called at every heartbeat.
     pub fn by(shift: impl Fn() -> Availability + Send + Sync + 'static) -> Self {
         Self(Arc::new(shift))
     }
@@ -44,9 +44,9 @@ impl fmt::Debug for Shift {
     }
 }
 
-/// Returns when the worker has had no task for `limit`; never without one.
+/// Returns when the worker has held no task for `limit`. Without a limit, it never returns.
 pub(crate) async fn idle(table: &Table, limit: Option<Duration>) {
-    /// Between two looks at a worker that has tasks.
+    /// Polling interval while the worker holds tasks.
     const LOOK: Duration = Duration::from_millis(100);
     let Some(limit) = limit else { return std::future::pending().await };
     loop {
@@ -61,7 +61,7 @@ pub(crate) async fn idle(table: &Table, limit: Option<Duration>) {
     }
 }
 
-/// `since + limit`, however long that is.
+/// Returns `since + limit`, with `limit` capped at a year so that the sum does not overflow.
 fn far(since: Instant, limit: Duration) -> Instant {
     const YEAR: Duration = Duration::from_secs(31_536_000);
     since + limit.min(YEAR)

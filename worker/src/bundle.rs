@@ -1,4 +1,4 @@
-//! The files of a job's scene: from what is kept near, else from the farm's store.
+//! Reads the files of a job's scene from the local piece cache or, if they are missing there, from the farm's store.
 
 use bytes::Bytes;
 use femc_fault::{Point, pass};
@@ -10,10 +10,10 @@ use crate::Pieces;
 use crate::fetch::Fetch;
 use crate::parcel;
 
-/// Pieces that are downloaded side by side.
+/// Number of pieces downloaded in parallel.
 const BATCH: usize = 16;
 
-/// The scene that `name` names.
+/// Returns the files of the scene whose manifest has the digest `name`.
 pub(crate) fn fetch_bundle(name: &Digest, client: &Client, fetch: &Fetch, pieces: &Pieces) -> Result<Bundle, Failure> {
     let bytes = match pieces.get(name) {
         Some(bytes) => bytes,
@@ -56,7 +56,7 @@ fn contents(
     Ok(contents.into_iter().flatten().collect())
 }
 
-/// A scene that is not whole: named by its own digest too, which the scheduler knows.
+/// Reports an incomplete scene. The lost inputs include the scene's own digest, because the scheduler knows that one.
 fn lost(name: &Digest, digests: &[Digest], message: &dyn std::fmt::Display) -> Failure {
     let digests = digests.iter().chain([name]).copied().collect();
     Failure::LostInputs { digests, message: format!("the scene is not whole: {message}; submit it again") }

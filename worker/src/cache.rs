@@ -1,17 +1,18 @@
-//! Scenes that are read and frames that are ready to render: a few of the latest.
+//! Cache of scenes that are read and frames that are ready to render. It keeps the few used last.
 //!
-//! Who needs a frame first makes it ready, and others wait for it; so a frame is prepared once, however many threads
-//! and workers share the cache. A failure is not kept.
+//! The first thread that needs a frame prepares it, and the others wait. So a frame is prepared once, even if many threads and
+//! workers share the cache. Failures are not cached.
 //!
-//! Everything is known by its content, so that the variants of a sweep share what is equal between them: they read the
-//! scene once; with equal worlds they differ in the camera alone ([`femc_pipeline::prepare`]); and else unchanged
-//! surfaces are taken over from any other frame of any variant.
+//! All keys are content hashes, so the variants of a sweep share what is equal between them. They read the scene once. If their
+//! worlds are equal, they differ in the camera alone ([`femc_pipeline::prepare`]). Otherwise unchanged surfaces are taken over from
+//! any other frame of any variant.
 //!
-//! The light of a first pass is fetched and read once for all frames and tiles of its world, known by its artifact's digest. While a
-//! first pass is made in blocks, what these begin with is kept, too: that of one first pass.
+//! The light of a first pass is fetched and read once for all frames and tiles of its world. Its key is the digest of its artifact.
+//! While a first pass is solved in blocks, the solver states that the blocks start from are cached too, for one first pass at a
+//! time.
 //!
-//! Scenes, frames and lights are bounded by their number (2, 3 and 2): what a frame takes follows from its scene, and frames of
-//! a scene share what does not change. The pieces that scenes are made of are bounded by their bytes, see [`Pieces`].
+//! Scenes, frames and lights are limited by number (2, 3 and 2), because the size of a frame follows from its scene, and frames of
+//! a scene share what does not change. The pieces that scenes are made of are limited by bytes, see [`Pieces`].
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -33,17 +34,17 @@ pub(crate) struct Read {
     pub(crate) settings: Settings,
     /// Content hash of the scene.
     pub(crate) digest: String,
-    /// What frames are made from, as far as it was asked for.
+    /// Frame keys computed so far, by frame.
     keys: Mutex<BTreeMap<u32, FrameKey>>,
 }
 
 impl Read {
-    /// The scene.
+    /// Returns the scene.
     pub(crate) fn scene(&self) -> &Scene {
         self.source.scene()
     }
 
-    /// What a frame is made from.
+    /// Returns the frame's key: the digests of what the frame is made from.
     pub(crate) fn frame_key(&self, frame: u32) -> Result<FrameKey, Failure> {
         if let Some(frame_key) = lock(&self.keys).get(&frame) {
             return Ok(*frame_key);
@@ -55,24 +56,24 @@ impl Read {
     }
 }
 
-/// Scenes and prepared frames; clones share them.
+/// Cache of scenes and prepared frames. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Cache(Arc<Shelves>);
 
 #[derive(Debug)]
 struct Shelves {
-    /// Scenes as their files have them.
+    /// Scenes as the files describe them, without overrides.
     sources: Shelf<Digest, Source>,
     /// Scenes with a job's overrides.
     scenes: Shelf<Digest, Arc<Read>>,
-    /// Frames by what they are made from, and by the light that they have of a first pass, if of any.
+    /// Prepared frames, by frame key and by the digest of the first pass's light (`None` without a first pass).
     frames: Shelf<(FrameKey, Option<Digest>), Arc<Prepared>>,
-    /// Layers of frames, compiled: a frame's tiles have them in common.
+    /// Compiled layers of frames. The tiles of a frame share them.
     layers: Shelf<(FrameKey, Vec<Layer>), Arc<LayerPlan>>,
-    /// Lights of first passes, of lamps of brightness 1; and as bright as those of frames are, by that.
+    /// Lights of first passes: `fields` for lamps of brightness 1, `brightened` for the brightness of the frames' lamps.
     fields: Shelf<Digest, Arc<Field>>,
     brightened: Shelf<(Digest, u32), Arc<Field>>,
-    /// First passes that are not done, by what they are made of: before rays, and after them.
+    /// Solver states of unfinished first passes, by their input artifacts: `aimed` before the rays, `settled` after them.
     aimed: Shelf<Digest, Arc<Aimed>>,
     settled: Shelf<Digest, Arc<Settled>>,
     pieces: Pieces,
@@ -85,21 +86,21 @@ impl Default for Cache {
 }
 
 impl Cache {
-    /// Scenes are larger and rarer than frames.
+    /// Largest number of scenes. Scenes are larger and rarer than frames.
     const SCENES: usize = 2;
 
-    /// Most prepared frames, unless [`Cache::new`] says otherwise.
+    /// Default of the largest number of prepared frames; see [`Cache::new`].
     const FRAMES: usize = 3;
 
-    /// Most lights of first passes.
+    /// Largest number of first-pass lights.
     const FIELDS: usize = 2;
 
-    /// Keeps at most `frames` prepared frames; they share what does not change between them.
+    /// Creates a cache of at most `frames` prepared frames. Frames share what does not change between them.
     pub fn new(frames: usize) -> Self {
         Self::holding(frames, Pieces::memory(Pieces::IN_MEMORY))
     }
 
-    /// The usual number of frames, and these pieces of scenes.
+    /// Creates a cache with the default number of frames and the given scene pieces.
     pub fn with(pieces: Pieces) -> Self {
         Self::holding(Self::FRAMES, pieces)
     }
@@ -119,7 +120,7 @@ impl Cache {
         }))
     }
 
-    /// Lets go of everything; what is in use stays until it is not.
+    /// Drops all scenes, frames and lights. Values in use stay in memory until their users drop them.
     pub(crate) fn clear(&self) {
         self.0.sources.clear();
         self.0.scenes.clear();
@@ -129,13 +130,13 @@ impl Cache {
         self.forget_steps();
     }
 
-    /// Lets go of first passes that are not done.
+    /// Drops the solver states of unfinished first passes.
     fn forget_steps(&self) {
         self.0.aimed.clear();
         self.0.settled.clear();
     }
 
-    /// Puts on the page what was found here and what was not.
+    /// Writes the hit and miss counts to the metrics page.
     pub(crate) fn put(&self, page: &mut Page) {
         let Shelves { sources, scenes, frames, fields, pieces, .. } = &*self.0;
         let looks = [
@@ -156,13 +157,13 @@ impl Cache {
         page.counter("femc_worker_pieces_fetched_bytes_total", help).counts(pieces.fetched());
     }
 
-    /// The job's scene, read.
+    /// Returns the job's scene, read and with the job's overrides applied.
     pub(crate) fn scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Arc<Read>, Failure> {
         self.0.scenes.get_or(scene_key(spec), || self.read(spec, client, fetch).map(Arc::new))
     }
 
-    /// The frame, ready to render.
-    /// - `light`: what the first pass of its world has found; a job whose method has a first pass reads one.
+    /// Returns the frame, ready to render.
+    /// - `light`: output of the first pass of the frame's world; required exactly if the job's method has a first pass.
     pub(crate) fn frame(
         &self,
         spec: &JobSpec,
@@ -179,7 +180,7 @@ impl Cache {
         self.prepared(read, frame, light, client, fetch)
     }
 
-    /// The layers of a frame that is ready, compiled; `None`: the job asks for none.
+    /// Returns the compiled layers of a prepared frame; `None` if the job asks for no layers.
     pub(crate) fn layers(
         &self,
         read: &Read,
@@ -197,7 +198,7 @@ impl Cache {
         plan.map(Some)
     }
 
-    /// The world that the first pass of a frame is of.
+    /// Returns the world that the first pass of a frame solves.
     pub(crate) fn world(
         &self,
         spec: &JobSpec,
@@ -207,7 +208,7 @@ impl Cache {
     ) -> Result<Arc<Prepared>, Failure> {
         let read = self.scene(spec, client, fetch)?;
         let frame_key = read.frame_key(frame)?;
-        // No world of a frame has this digest.
+        // No frame's world has this digest, so the key is free for the first pass's world.
         let key = FrameKey { world: frame_key.light, ..frame_key };
         self.0.frames.get_or((key, None), || {
             let previous = self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
@@ -245,7 +246,7 @@ impl Cache {
         Ok((read, prepared))
     }
 
-    /// The light of a first pass, as bright as a frame's lamps are.
+    /// Returns the light of a first pass, scaled to the brightness of the frame's lamps.
     fn field(&self, light: Artifact, brightness: f32, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
         self.0.brightened.get_or((light.digest, brightness.to_bits()), || {
             let field = self.field_of_one(light, client, fetch)?;
@@ -255,7 +256,7 @@ impl Cache {
 
     fn field_of_one(&self, light: Artifact, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
         self.0.fields.get_or(light.digest, || {
-            // It is done: its steps are of no use any more.
+            // The first pass is finished, so its solver states are no longer needed.
             self.forget_steps();
             let bytes = fetch.all(client, &[light]).pop().unwrap_or(Err(Failure::Cancelled))?;
             let (field, _) = fetch.prepare(|| Field::decode(&bytes)).map_err(|error| lost(light, &error))?;
@@ -263,14 +264,14 @@ impl Cache {
         })
     }
 
-    /// Keeps the light of a first pass that was solved here.
+    /// Caches the light of a first pass that this worker solved.
     pub(crate) fn keep_field(&self, digest: Digest, field: Arc<Field>) {
         self.forget_steps();
-        // It is there or put there: that does not fail.
+        // This cannot fail: the light is either cached already or inserted here.
         let _ = self.0.fields.slot(digest).get_or(|| Ok(field));
     }
 
-    /// A first pass before rays, by what it is made of.
+    /// Returns the state of a first pass before its rays, by the artifacts that it is made of.
     pub(crate) fn aimed(
         &self,
         of: &[Artifact],
@@ -279,7 +280,7 @@ impl Cache {
         self.0.aimed.get_or(all_of(of), || make().map(Arc::new))
     }
 
-    /// A first pass after rays, by what it is made of.
+    /// Returns the state of a first pass after its rays, by the artifacts that it is made of.
     pub(crate) fn settled(
         &self,
         of: &[Artifact],
@@ -297,7 +298,7 @@ impl Cache {
         Ok(Read { digest: source.scene().digest().to_string(), source, settings, keys: Mutex::default() })
     }
 
-    /// The scene as its files have it.
+    /// Returns the scene as its files describe it, without overrides.
     fn source(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Source, Failure> {
         self.0.sources.get_or(files_key(spec), || {
             let bundle = fetch_bundle(&spec.bundle, client, fetch, &self.0.pieces)?;
@@ -310,7 +311,7 @@ impl Cache {
 
 #[cfg(test)]
 impl Cache {
-    /// A scene that is not made yet.
+    /// Puts a scene that is not read yet into the cache.
     pub(crate) fn hold_something(&self) {
         self.0.scenes.slot(Digest::of(b"scene"));
     }
@@ -320,7 +321,7 @@ impl Cache {
     }
 }
 
-/// A light that is of no use: it is made again.
+/// Reports an unusable light, so that the farm computes it again.
 fn lost(light: Artifact, error: &dyn std::fmt::Display) -> Failure {
     Failure::LostInputs { digests: vec![light.digest], message: error.to_string() }
 }
@@ -341,11 +342,11 @@ fn scene_key(spec: &JobSpec) -> Digest {
     Digest::of(&bytes)
 }
 
-/// The latest few values by key.
+/// A least-recently-used cache of a few values.
 #[derive(Debug)]
 struct Shelf<K, V> {
     most: usize,
-    /// The one used last at the end.
+    /// Slots in order of use; the last used is at the end.
     slots: Mutex<Vec<(K, Arc<Slot<V>>)>>,
     hits: Counter,
     misses: Counter,
@@ -360,7 +361,7 @@ impl<K: PartialEq, V: Clone> Shelf<K, V> {
         Self { most, slots: Mutex::default(), hits: Counter::default(), misses: Counter::default() }
     }
 
-    /// The value, made if it is not there.
+    /// Returns the value for `key`; makes it if it is missing.
     fn get_or(&self, key: K, make: impl FnOnce() -> Result<V, Failure>) -> Result<V, Failure> {
         let mut looks = &self.hits;
         let value = self.slot(key).get_or(|| {
@@ -388,10 +389,10 @@ impl<K: PartialEq, V: Clone> Shelf<K, V> {
         lock(&self.slots).clear();
     }
 
-    /// The value used last, of those that are made and whose key is `wanted`.
+    /// Returns the last used value whose key is `wanted`. Skips values that are still being made.
     fn latest(&self, wanted: impl Fn(&K) -> bool) -> Option<V> {
         let slots = lock(&self.slots);
-        // One that is being made is not waited for.
+        // `try_lock` skips a value that another thread is making instead of waiting for it.
         slots.iter().rev().filter(|(key, _)| wanted(key)).find_map(|(_, slot)| slot.0.try_lock().ok()?.clone())
     }
 }
@@ -402,12 +403,12 @@ impl<V: Clone> Slot<V> {
         if value.is_none() {
             *value = Some(make()?);
         }
-        // Just made, if it was not there.
+        // The value exists now: it was there or was just made.
         value.clone().ok_or(Failure::Cancelled)
     }
 }
 
-/// A panic while a value is made leaves none: the next one makes it again.
+/// Locks `mutex`, even after a panic: a maker that panics leaves no value, and the next user makes it again.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

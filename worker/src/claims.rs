@@ -1,11 +1,11 @@
-//! Which leases a session may claim, by the worker's own clock.
+//! Leases that a session may claim, according to the worker's own clock.
 //!
-//! The worker does not know when the coordinator heard a heartbeat, but it knows when it sent it: a lease that the
-//! coordinator, in its answer, says to hold for another 5 s holds at least until 5 s after the heartbeat was sent. A
-//! sixteenth less is counted on, because clocks do not run at one rate. What is not claimed is not reported and not kept
-//! alive; it may still be computed, and claimed again when the coordinator says that it holds.
+//! The worker does not know when the coordinator received a heartbeat, but it knows when it sent it. If the answer says that a
+//! lease holds for another 5 s, the lease holds at least until 5 s after the heartbeat was sent. The worker relies on a sixteenth
+//! less, because clocks run at different rates. The worker neither reports nor renews a task whose lease it does not claim. It may
+//! still compute that task, and it claims the lease again when the coordinator says that it holds.
 //!
-//! Claims belong to a session. A later one begins with none: leases that it brings along are claimed when an answer names
+//! Claims belong to one session. A new session begins with none. Leases from an earlier session are claimed when an answer names
 //! them.
 
 use std::collections::BTreeMap;
@@ -17,41 +17,41 @@ use tokio::time::Instant;
 /// The leases of a session.
 #[derive(Debug)]
 pub(crate) struct Claims {
-    /// When a message was sent that the coordinator has surely heard, the latest such.
+    /// Time when the worker sent the latest message that the coordinator has surely received.
     heard: Instant,
-    /// How long the coordinator may be silent.
+    /// Longest silence of the coordinator before the session counts as lost.
     patience: Duration,
-    /// Heartbeats without an answer.
+    /// Heartbeats not yet answered: number and sending time.
     sent: BTreeMap<u64, Instant>,
     last: u64,
     until: BTreeMap<(TaskKey, Epoch), Instant>,
 }
 
 impl Claims {
-    /// How long a coordinator may take to say its first word.
+    /// Time limit for the coordinator's first message.
     pub(crate) const INTRODUCTION: Duration = Duration::from_secs(10);
-    /// The part of a lease that is not counted on.
+    /// Divisor of the safety margin: the worker does not rely on the last `1 / MARGIN` of a lease.
     const MARGIN: u32 = 16;
 
-    /// Of a session that begins with a registration sent at `now`.
+    /// Creates the claims of a session whose registration is sent at `now`.
     pub(crate) fn new(now: Instant) -> Self {
         Self { heard: now, patience: Self::INTRODUCTION, sent: BTreeMap::new(), last: 0, until: BTreeMap::new() }
     }
 
-    /// The coordinator has taken the registration.
-    /// - `lease`: milliseconds.
+    /// Records that the coordinator accepted the registration.
+    /// - `lease`: lease duration in milliseconds.
     pub(crate) fn welcomed(&mut self, lease: u64) {
         self.patience = sure(lease);
     }
 
-    /// A heartbeat goes out; its number.
+    /// Records that a heartbeat is sent at `now`; returns the heartbeat's number.
     pub(crate) fn beat(&mut self, now: Instant) -> u64 {
         self.last += 1;
         self.sent.insert(self.last, now);
         self.last
     }
 
-    /// The coordinator answers a heartbeat: just these leases hold.
+    /// Records the answer to a heartbeat: exactly these leases hold.
     pub(crate) fn renewed(&mut self, heartbeat: u64, leases: &[LeaseLeft]) {
         let Some(sent) = self.sent.remove(&heartbeat) else { return };
         self.sent.retain(|&number, _| number > heartbeat);
@@ -59,29 +59,29 @@ impl Claims {
         self.until = leases.iter().map(|lease| ((lease.task, lease.epoch), sent + sure(lease.left))).collect();
     }
 
-    /// A lease comes, granted after the last answered heartbeat was sent.
-    /// - `lease`: milliseconds.
+    /// Records a new lease. The coordinator granted it after the worker sent the last answered heartbeat.
+    /// - `lease`: lease duration in milliseconds.
     pub(crate) fn assigned(&mut self, key: (TaskKey, Epoch), lease: u64) {
         self.until.insert(key, self.heard + sure(lease));
     }
 
-    /// The lease is over.
+    /// Drops the claim to a lease that has ended.
     pub(crate) fn forget(&mut self, key: &(TaskKey, Epoch)) {
         self.until.remove(key);
     }
 
-    /// Whether the lease surely holds at `now`.
+    /// Checks that the lease surely holds at `now`.
     pub(crate) fn holds(&self, key: &(TaskKey, Epoch), now: Instant) -> bool {
         self.until.get(key).is_some_and(|until| now < *until)
     }
 
-    /// When every lease must be taken for lost, unless the coordinator says something before.
+    /// Returns the time at which all leases count as lost unless the coordinator sends something before.
     pub(crate) fn end(&self) -> Instant {
         self.heard + self.patience
     }
 }
 
-/// What one can count on of so many milliseconds.
+/// Returns the part of a lease that the worker relies on.
 fn sure(milliseconds: u64) -> Duration {
     let whole = Duration::from_millis(milliseconds);
     whole - whole / Claims::MARGIN
@@ -112,7 +112,7 @@ mod tests {
         claims.assigned(key(1), 1600);
         assert!(claims.holds(&key(1), at(1499)) && !claims.holds(&key(1), at(1500)));
         assert_eq!((claims.beat(at(100)), claims.beat(at(1000))), (1, 2));
-        // However late the answer comes.
+        // The lease counts from the sending time, no matter how late the answer arrives.
         claims.renewed(1, &[left(1, 1600)]);
         assert!(claims.holds(&key(1), at(1599)) && !claims.holds(&key(1), at(1600)));
         assert_eq!(claims.end(), at(1600));

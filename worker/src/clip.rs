@@ -1,6 +1,8 @@
-//! Pictures as a clip: animated PNG and GIF by this program, any other format by ffmpeg, which knows it from the file's name.
+//! Encodes pictures as a clip. This program writes animated PNG and GIF itself. ffmpeg writes any other format, chosen by the file
+//! extension.
 //!
-//! A clip names its encoder. It is exempt from same bytes, for another ffmpeg makes other ones; the pictures in it are not.
+//! A clip names its encoder. Clips are exempt from the rule that equal jobs give equal bytes, because another ffmpeg version writes
+//! other bytes. The pictures in a clip are not exempt.
 
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -13,30 +15,30 @@ use femc_film::animation::AnimationFormat;
 use femc_film::file::write_atomic;
 use femc_film::{Animation, FilmError, Picture};
 
-/// The tag of workers that have ffmpeg.
+/// Tag of workers that have ffmpeg.
 pub const FFMPEG: &str = "ffmpeg";
 
-/// Between two looks at whether ffmpeg has ended.
+/// Interval between checks whether ffmpeg has exited.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// Why there is no clip.
+/// Error of writing a clip.
 #[derive(Debug, thiserror::Error)]
 pub enum ClipError<E> {
-    /// A picture cannot be had.
+    /// A picture is not available.
     #[error("{0}")]
     Picture(E),
-    /// It cannot be encoded here.
+    /// The built-in encoder failed.
     #[error(transparent)]
     Film(#[from] FilmError),
-    /// What ffmpeg said, or why it does not run.
+    /// ffmpeg failed or does not run: its error output, or the reason.
     #[error("ffmpeg: {0}")]
     Ffmpeg(String),
-    /// Nobody waits for it any more.
+    /// The caller cancelled the clip.
     #[error("cancelled")]
     Cancelled,
 }
 
-/// The version of the ffmpeg on the PATH, as it says itself; `None`: there is none that runs.
+/// Returns the version that the ffmpeg on the PATH reports; `None` if there is no ffmpeg that runs.
 pub fn ffmpeg() -> Option<String> {
     let ran = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
     let output = String::from_utf8_lossy(&ran.stdout);
@@ -44,11 +46,12 @@ pub fn ffmpeg() -> Option<String> {
     ran.status.success().then_some(version)
 }
 
-/// Writes `pictures`, all of this size, as a clip. The file is there whole or not at all, but for one that ffmpeg writes.
-/// - `path`: its extension names the format.
-/// - `rate`: frames a second.
-/// - `count`: how many pictures there are.
-/// - `is_cancelled`: looked at before every picture and while the encoder ends.
+/// Writes `pictures` as a clip. All pictures must have the given size. The file is written atomically, except for a file that
+/// ffmpeg writes.
+/// - `path`: output file; its extension selects the format.
+/// - `rate`: frames per second.
+/// - `count`: number of pictures.
+/// - `is_cancelled`: checked before every picture and while the encoder finishes.
 pub fn write<E>(
     path: &Path,
     [width, height]: [u32; 2],
@@ -77,18 +80,18 @@ pub fn write<E>(
     Ok(write_atomic(path, &bytes)?)
 }
 
-/// Ends with its owner, whatever comes.
+/// An ffmpeg process that is killed when its owner drops it.
 struct Encoder(Child);
 
 impl Drop for Encoder {
     fn drop(&mut self) {
-        // It has ended by itself, or nobody waits for it.
+        // The process has already exited, or its result is no longer needed.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// Raw pictures into ffmpeg.
+/// Pipes the raw pictures into ffmpeg.
 fn by_ffmpeg<E>(
     path: &Path,
     [width, height]: [u32; 2],
@@ -102,7 +105,7 @@ fn by_ffmpeg<E>(
     let mut encoder = Command::new("ffmpeg")
         .args(["-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"])
         .args(["-s", &format!("{width}x{height}"), "-r", &rate.to_string(), "-i", "-"])
-        // The usual chroma needs even sides.
+        // The usual chroma subsampling needs even width and height.
         .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-metadata", &comment])
         .arg::<&OsStr>(path.as_ref())
         .stdin(Stdio::piped())
@@ -112,10 +115,10 @@ fn by_ffmpeg<E>(
         .map(Encoder)
         .map_err(|error| at(&error))?;
     let (pipe, errors) = (encoder.0.stdin.take(), encoder.0.stderr.take());
-    // It is heard while it is fed, or each would wait for the other.
+    // Read the errors while the pictures are written; otherwise the two processes could block each other.
     let heard = std::thread::spawn(move || {
         let mut text = String::new();
-        // What cannot be read says nothing.
+        // Error output that cannot be read counts as empty.
         let _ = errors.map(|mut errors| errors.read_to_string(&mut text));
         text
     });
@@ -135,7 +138,7 @@ fn by_ffmpeg<E>(
             None => std::thread::sleep(LOOK),
         }
     };
-    // What ffmpeg says of its end tells more than a broken pipe.
+    // The error output of ffmpeg says more than a broken pipe.
     if !status.success() {
         return Err(at(&heard.join().unwrap_or_default().trim()));
     }

@@ -1,10 +1,10 @@
-//! The worker's one clock.
+//! The only clock of the worker.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// A moment to measure from.
+/// A start time for measuring elapsed time.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stopwatch(Instant);
 

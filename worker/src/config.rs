@@ -1,4 +1,4 @@
-//! What a worker needs to know, and why it may end.
+//! A worker's configuration, and the errors that can end a worker.
 
 use std::fmt;
 use std::hash::{BuildHasher as _, RandomState};
@@ -16,43 +16,44 @@ use crate::{Cache, Journal, MemoryLimit, MemoryOutbox, Metrics, Shift};
 pub struct Config {
     /// The coordinator's address, such as `http://127.0.0.1:7878`.
     pub join: String,
-    /// Name for people.
+    /// Name shown to people.
     pub name: String,
-    /// Threads that render; 0: as many as the machine runs at once.
+    /// Number of render threads; 0: as many as the machine runs at once.
     pub threads: usize,
-    /// What the worker offers; a job may ask for tags.
+    /// Tags that the worker offers. A job may require tags.
     pub tags: Vec<String>,
-    /// Scenes and frames ready to render; workers of one process may share it.
+    /// Cache of scenes and prepared frames. Workers of one process may share it.
     pub cache: Cache,
-    /// How long to look for a coordinator that is away; `None`: forever.
+    /// Time limit for reconnecting to a coordinator that is away; `None`: no limit.
     pub patience: Option<Duration>,
-    /// What to do when asked to stop.
+    /// Behavior when the worker is asked to stop.
     pub at_stop: AtStop,
-    /// Tells this worker from all others, and from an earlier one that had its name.
+    /// Number that identifies this run of the worker. It differs from that of all other workers, also from an earlier one with the
+    /// same name.
     pub instance: u64,
-    /// Build of the engine, as the coordinator is told; a simulation has several.
+    /// Engine build that the worker reports to the coordinator. A simulation uses several.
     pub engine: String,
-    /// How to reach the coordinator.
+    /// Way to connect to the coordinator.
     pub dial: Dial,
-    /// Threads that do the tasks, or a simulation of them.
+    /// Threads that execute the tasks, or a simulation of them.
     pub hands: Hands,
-    /// Where results are kept until the coordinator has acknowledged them; `None`: in memory.
+    /// Storage for results until the coordinator acknowledges them; `None`: in memory.
     pub outbox: Option<OutboxPlace>,
-    /// Where it writes down what it computes.
+    /// Record of the tasks being computed.
     pub journal: Journal,
-    /// The most memory that it may use before it gives tasks back.
+    /// Memory limit above which the worker gives tasks back.
     pub memory: Option<MemoryLimit>,
-    /// Niceness of the threads that compute, 0 to 19; `None`: as it is.
+    /// Niceness of the threads that compute, 0 to 19; `None`: unchanged.
     pub nice: Option<u8>,
     /// Hours in which the worker takes tasks.
     pub shift: Shift,
-    /// It stops after so long without a task; `None`: never.
+    /// Longest time without a task before the worker stops; `None`: no limit.
     pub idle_limit: Option<Duration>,
-    /// Where it counts what it does.
+    /// Counters of the worker.
     pub metrics: Metrics,
 }
 
-/// Where a worker keeps results that are not acknowledged.
+/// Storage for results that are not acknowledged yet.
 #[derive(Debug, Clone)]
 pub enum OutboxPlace {
     /// On disk.
@@ -64,57 +65,57 @@ pub enum OutboxPlace {
 /// A folder in which a worker keeps results.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OutboxConfig {
-    /// A folder of its own; it is made.
+    /// Folder for this worker alone; created if missing.
     pub folder: PathBuf,
-    /// Most bytes in it.
+    /// Largest total size of the files, bytes.
     pub limit: u64,
-    /// What to do when another worker uses it.
+    /// Behavior when another worker uses the folder.
     pub if_taken: IfTaken,
 }
 
-/// What to do when another worker uses the folder.
+/// Behavior when another worker uses the outbox folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum IfTaken {
-    /// Do not start.
+    /// The worker does not start.
     Fail,
-    /// Take the first that is free of `FOLDER-2`, `FOLDER-3` and so on.
+    /// The worker takes the first free folder of `FOLDER-2`, `FOLDER-3` and so on.
     NextFree,
 }
 
-/// Who does a worker's tasks.
+/// Executor of a worker's tasks.
 #[derive(Debug, Clone, Default)]
 pub enum Hands {
-    /// Threads of their own, beside the asynchronous ones.
+    /// Dedicated threads, separate from those of the asynchronous runtime.
     #[default]
     Threads,
-    /// The runtime itself, in the time that [`Pace`] says: for simulations.
+    /// The runtime itself, with task durations from [`Pace`], for simulations.
     Simulated(Pace),
 }
 
-/// How long a task takes in a simulation, and what becomes of it.
+/// Durations and outcomes of tasks in a simulation.
 #[derive(Clone)]
 pub struct Pace(Arc<Fates>);
 
 type Fates = dyn Fn(&Assignment) -> (Duration, Fate) + Send + Sync;
 
-/// What becomes of a task in a simulation.
+/// Outcome of a task in a simulation.
 #[derive(Clone)]
 pub enum Fate {
-    /// It is done.
+    /// The task succeeds.
     Done,
-    /// Its code panics at the end.
+    /// The task's code panics at the end.
     Panics,
-    /// At the end it calls this, which is to end the worker's process, and does nothing more.
+    /// At the end, the task calls this function, which must end the worker's process, and does nothing more.
     Kills(Arc<dyn Fn() + Send + Sync>),
 }
 
 impl Pace {
-    /// As `pace` says; every task is done.
+    /// Creates a pace with durations from `pace`. Every task succeeds.
     pub fn by(pace: impl Fn(&Assignment) -> Duration + Send + Sync + 'static) -> Self {
         Self::fated(move |assignment| (pace(assignment), Fate::Done))
     }
 
-    /// As `fate` says.
+    /// Creates a pace with durations and outcomes from `fate`.
     pub fn fated(fate: impl Fn(&Assignment) -> (Duration, Fate) + Send + Sync + 'static) -> Self {
         Self(Arc::new(fate))
     }
@@ -130,20 +131,20 @@ impl fmt::Debug for Pace {
     }
 }
 
-/// What a worker does when it is asked to stop.
+/// Behavior of a worker that is asked to stop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AtStop {
-    /// It gives back all that it holds, at once.
+    /// Gives back all tasks at once.
     GiveBack,
-    /// It finishes the tasks that run and gives back those that wait, at once, and those that have not ended in time.
+    /// Finishes the running tasks. Gives waiting tasks back at once, and running tasks when the time is over.
     Finish {
-        /// In time for what stops it: the system's own patience ends, too.
+        /// Time limit for the running tasks. It must be shorter than the time after which the system kills the process.
         within: Duration,
     },
 }
 
 impl Config {
-    /// A worker of the coordinator at `join`, with every thread of the machine and nothing special.
+    /// Creates the default configuration of a worker for the coordinator at `join`: it uses every thread of the machine.
     pub fn new(join: impl Into<String>) -> Self {
         Self {
             join: join.into(),
@@ -168,21 +169,21 @@ impl Config {
     }
 }
 
-/// Why a worker ended without being asked to.
+/// Error that ends a worker which was not asked to stop.
 #[derive(Debug, thiserror::Error)]
 pub enum WorkerError {
-    /// The coordinator's address is none, it refuses this worker, or it was away for too long.
+    /// The coordinator's address is invalid, the coordinator refuses this worker, or it was away for too long.
     #[error(transparent)]
     Call(#[from] CallError),
-    /// The folder for results cannot be used.
+    /// The outbox folder cannot be used.
     #[error("outbox {}: {message}", folder.display())]
     Outbox {
-        /// The folder for results.
+        /// Outbox folder.
         folder: PathBuf,
         /// Error of the operating system.
         message: String,
     },
-    /// The threads cannot have the niceness.
+    /// The niceness cannot be set for the threads.
     #[error("niceness {niceness}: {message}")]
     Nice {
         /// Niceness from the configuration, 0..=19.
@@ -190,7 +191,7 @@ pub enum WorkerError {
         /// Error of the operating system.
         message: String,
     },
-    /// The threads that compute cannot be started.
+    /// The compute threads cannot be started.
     #[error("cannot start threads: {0}; give a smaller --threads, or allow more processes (ulimit -u)")]
     Threads(String),
 }

@@ -1,5 +1,5 @@
-//! Artifacts for threads that compute: blocking downloads, failed calls as failures of a task, and the pool on which scenes and frames are
-//! prepared from them.
+//! Inputs for the threads that compute: blocking downloads, the translation of failed calls into task failures, and the pool that
+//! prepares scenes and frames.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,10 +15,10 @@ use tracing::Span;
 use crate::meter::Doing;
 use crate::table::Task;
 
-/// Most bytes of what a job's `bundle` names: a manifest, or all of a scene from an earlier version.
+/// Largest size in bytes of the artifact that a job's `bundle` names: a manifest or, from an earlier version, a whole scene.
 const BUNDLE: u64 = 1 << 30;
 
-/// What a failed call means for a task.
+/// Translates a failed call into a task failure.
 pub(crate) fn failure(error: &CallError) -> Failure {
     let message = error.to_string();
     match error {
@@ -37,12 +37,12 @@ pub(crate) fn failure(error: &CallError) -> Failure {
     }
 }
 
-/// How a task comes by its inputs.
+/// Access to a task's inputs.
 #[derive(Debug, Clone)]
 pub(crate) struct Fetch {
     way: Way,
-    /// Threads that prepare scenes and frames. Each hand has its own: a cancelled task that builds a large tree keeps them busy after
-    /// its hand is left behind, and the next task must not wait for that.
+    /// Threads that prepare scenes and frames. Each hand has its own pool. A cancelled task that builds a large tree keeps its pool
+    /// busy after its hand is abandoned, and the next task must not wait for that.
     pool: Arc<ThreadPool>,
     /// Task that reads these inputs.
     task: Option<Arc<Task>>,
@@ -50,41 +50,41 @@ pub(crate) struct Fetch {
 
 #[derive(Debug, Clone)]
 enum Way {
-    /// Downloads when they are needed, for a thread outside of the runtime.
+    /// Downloads on demand, for a thread outside of the runtime.
     Blocking(Handle),
-    /// All are there already.
+    /// Inputs that are all downloaded already.
     Collected(Arc<BTreeMap<Digest, Result<Bytes, Failure>>>),
 }
 
 impl Fetch {
-    /// Downloads when they are needed, on this runtime; frames are prepared on `pool`.
+    /// Creates an access that downloads on demand on this runtime and prepares frames on `pool`.
     pub(crate) fn blocking(runtime: Handle, pool: Arc<ThreadPool>) -> Self {
         Self { way: Way::Blocking(runtime), pool, task: None }
     }
 
-    /// The same downloads; frames are prepared on `pool`.
+    /// Returns a copy that prepares frames on `pool`.
     pub(crate) fn with_pool(&self, pool: Arc<ThreadPool>) -> Self {
         Self { pool, ..self.clone() }
     }
 
-    /// Threads that prepare frames.
+    /// Returns the threads that prepare frames.
     pub(crate) fn pool(&self) -> &Arc<ThreadPool> {
         &self.pool
     }
 
-    /// The same for one task.
+    /// Returns a copy that charges its downloads to `task`.
     pub(crate) fn of(&self, task: &Arc<Task>) -> Self {
         Self { task: Some(task.clone()), ..self.clone() }
     }
 
-    /// Counts what comes in as the task's.
+    /// Adds downloaded bytes to the task's account.
     fn count(&self, bytes: usize) {
         if let Some(task) = &self.task {
             task.account.fetched.fetch_add(bytes as u64, Ordering::Relaxed);
         }
     }
 
-    /// Prepares something on the pool. Outside of a pool, rayon would start one of its own with all the machine's threads.
+    /// Runs `work` on the pool. Outside of a pool, rayon would start one of its own with all the machine's threads.
     pub(crate) fn prepare<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         let Some(task) = self.task.as_ref().filter(|task| task.is_begun()) else { return self.pool.install(work) };
         let span = Span::current();
@@ -95,7 +95,7 @@ impl Fetch {
         })
     }
 
-    /// Waits for the network.
+    /// Blocks on `work`, which waits for the network.
     fn wait<T>(&self, runtime: &Handle, work: impl Future<Output = T>) -> T {
         match &self.task {
             Some(task) if task.is_begun() => task.account.moving(|| runtime.block_on(work)),
@@ -103,7 +103,7 @@ impl Fetch {
         }
     }
 
-    /// What names a scene's pieces, or, from earlier versions, holds them.
+    /// Returns a scene's manifest or, for a job from an earlier version, the scene itself.
     pub(crate) fn scene(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
         match &self.way {
             Way::Blocking(runtime) => {
@@ -114,7 +114,7 @@ impl Fetch {
         }
     }
 
-    /// All of `artifacts` in their order, side by side; each is there, or lost, or not to be had.
+    /// Downloads all of `artifacts` in parallel and returns them in their order. Each one is present, lost or unavailable.
     pub(crate) fn all(&self, client: &Client, artifacts: &[Artifact]) -> Vec<Result<Bytes, Failure>> {
         match &self.way {
             Way::Blocking(runtime) => {
@@ -126,7 +126,7 @@ impl Fetch {
         }
     }
 
-    /// Downloads a task's inputs before it begins, all of them, whatever is kept near.
+    /// Downloads all inputs of a task before it begins, even those that are cached locally.
     pub(crate) async fn collect(&self, task: &Arc<Task>, artifacts: &[Artifact]) -> Self {
         let (client, bundle) = (&task.client, task.spec.bundle);
         let scene = client.get(&bundle, BUNDLE).await.map_err(|error| failure(&error));

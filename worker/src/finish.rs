@@ -1,4 +1,4 @@
-//! What becomes of a task that is done: it is kept, with its log, and the session is told.
+//! Handles finished tasks: stores the result and the log, and notifies the session.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -10,10 +10,10 @@ use tokio::sync::mpsc::UnboundedSender;
 use crate::outbox::Outbox;
 use crate::table::{Outcome, Task};
 
-/// Takes in what came of tasks.
+/// Receiver of the tasks' outcomes.
 #[derive(Debug, Clone)]
 pub(crate) struct Finish {
-    /// Hears of every task that is done.
+    /// Channel that notifies the session of every finished task.
     pub(crate) done: UnboundedSender<(TaskKey, Epoch)>,
     pub(crate) outbox: Outbox,
     /// The worker's name, for logs.
@@ -31,11 +31,11 @@ impl Finish {
         if !task.is_cancelled() {
             self.outbox.keep(task);
         }
-        // Without a listener the worker is ending.
+        // A closed channel means that the worker is ending.
         let _ = self.done.send(task.key());
     }
 
-    /// A log that travels with the report is short; the others go to the store.
+    /// Closes the task's log. A log that travels with the report is short; other logs go to the store.
     fn close_log(&self, task: &Task, outcome: &Outcome) {
         let Some(seconds) = task.log.seconds() else { return };
         let limit = match task.log_place(Some(outcome)) {
@@ -48,7 +48,7 @@ impl Finish {
     fn header(&self, task: &Task, outcome: &Outcome, seconds: f64) -> String {
         let (key, epoch) = task.key();
         let mut header = format!("task {key}, epoch {}\nworker {}, engine {}\n", epoch.0, self.worker, crate::engine());
-        // Writing into a string does not fail.
+        // Writing to a string cannot fail.
         let _ = match outcome {
             Ok(_) => write!(header, "done in {seconds:.3} s"),
             Err(failure) => write!(header, "failed after {seconds:.3} s: {failure}"),

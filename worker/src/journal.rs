@@ -1,19 +1,21 @@
-//! What a worker is computing, written down before it begins: what is still there when it starts again has died with it.
+//! Journal of the tasks that a worker is computing. A task is entered before it begins. Entries that are still there at the next
+//! start belong to tasks during which the worker died.
 //!
-//! One small file beside the outbox, whose lock it shares, written in one go at its beginning:
+//! The journal is one small file beside the outbox and shares the outbox's lock. Each change overwrites it from the start in one
+//! write:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCWORK` |
 //! | 4 | format version, 3 |
 //! | 32 | BLAKE3 of the entries |
 //! | 8 | length of the entries |
-//! | | which start of the machine it is, the process's number, and the leases of the tasks under way, in postcard |
+//! | | boot id of the machine, the worker's instance, and the leases of the tasks being computed, in postcard |
 //!
-//! It is not synced: what a process has written outlives its death by whatever signal, and by lack of memory. A machine that
-//! loses its power may leave the page whole, an older one or a torn one; none of them says anything, since no task has to do with
-//! it: the machine has started again since, where the system tells that (Linux). An orderly end, and being asked to end, empties
-//! it: what a worker is made to leave has not killed it.
+//! The file is not synced: data that a process has written survive its death by any signal and by lack of memory. A machine that
+//! loses power may leave the current page, an older one or a torn one. None of them blames a task, because the machine's boot id
+//! has changed since, on systems that tell it (Linux). An orderly end and a request to stop empty the journal, so that no task is
+//! blamed for them.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
@@ -29,24 +31,24 @@ const VERSION: u32 = 3;
 /// Bytes before the entries.
 const FRONT: usize = 8 + 4 + 32 + 8;
 
-/// A worker's journal; clones are the same one. The default is a file beside the outbox, if there is one.
+/// A worker's journal. Clones share it. The default is a file beside the outbox, if the outbox is a folder.
 #[derive(Debug, Clone, Default)]
 pub struct Journal(Arc<Mutex<Book>>);
 
 #[derive(Debug, Default)]
 struct Book {
     page: Page,
-    /// The start of the machine, and the process that writes.
+    /// Boot id of the machine, and the instance of the worker that writes.
     boot: String,
     instance: u64,
     computing: Vec<HeldLease>,
-    /// What an earlier process left, until it is told.
+    /// Tasks that an earlier process left, until the coordinator knows them.
     before: Option<Death>,
-    /// What is computed from now on is not written down.
+    /// Set when tasks are no longer entered.
     is_closed: bool,
-    /// An earlier process has died.
+    /// Set when an earlier process has died.
     is_careful: bool,
-    /// The latest job's key, which takes time to find.
+    /// Key of the latest job; computing it takes time.
     job: Option<(Arc<JobSpec>, Digest)>,
 }
 
@@ -59,21 +61,22 @@ enum Page {
 }
 
 impl Journal {
-    /// The name of the file.
+    /// Name of the file.
     const FILE: &str = "computing";
 
-    /// One that outlives its worker in memory, for simulations: a worker that starts with it finds what the one before has left.
+    /// Creates a journal in memory that outlives its worker, for simulations: the next worker that starts with it finds the
+    /// entries.
     pub fn in_memory() -> Self {
         Self(Arc::new(Mutex::new(Book { page: Page::Memory(Vec::new()), ..Book::default() })))
     }
 
     fn lock(&self) -> MutexGuard<'_, Book> {
-        // A panic within the few lines under this lock leaves a page that is written again.
+        // A panic within the few lines under this lock is harmless: the page is written again.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A worker's process begins: reads what an earlier one has left.
-    /// - `folder`: of the outbox, which is this worker's alone.
+    /// Opens the journal at the start of a worker and reads the entries of an earlier process.
+    /// - `folder`: the outbox folder, which belongs to this worker alone.
     pub(crate) fn open(&self, folder: Option<&Path>, instance: u64) {
         self.open_after(boot(), folder, instance);
     }
@@ -88,7 +91,7 @@ impl Journal {
             }
         }
         let left = book.page.read().and_then(|bytes| decode(&bytes));
-        // What was under way when the machine itself went down has not ended it: the coordinator presumes what it may.
+        // After a crash of the machine itself, no task is blamed here: the coordinator draws its own conclusions.
         let left = left.filter(|(of, _)| *of == boot).map(|(_, death)| death);
         book.before = left.filter(|death| !death.computing.is_empty());
         if let Some(death) = &book.before {
@@ -99,17 +102,18 @@ impl Journal {
         book.computing.clear();
     }
 
-    /// What an earlier process was computing when it died, until that is told.
+    /// Returns the tasks that an earlier process was computing when it died, until they are reported.
     pub(crate) fn death(&self) -> Option<Death> {
         self.lock().before.clone()
     }
 
-    /// Whether the worker does without what its journal does not name: an earlier process has died, and it is to show what of.
+    /// Checks whether the worker computes only what its journal names. It does after the death of an earlier process, so that the
+    /// journal names the task that kills the worker.
     pub(crate) fn is_careful(&self) -> bool {
         self.lock().is_careful
     }
 
-    /// The coordinator has heard of it.
+    /// Records that the coordinator knows of the death.
     pub(crate) fn death_reported(&self) {
         let mut book = self.lock();
         if book.before.take().is_some() {
@@ -117,7 +121,7 @@ impl Journal {
         }
     }
 
-    /// A task is about to be computed.
+    /// Enters a task that is about to be computed.
     pub(crate) fn begin(&self, task: &Task) {
         let mut book = self.lock();
         if book.is_closed || matches!(book.page, Page::None) {
@@ -130,7 +134,7 @@ impl Journal {
         book.write();
     }
 
-    /// It is not computed any more.
+    /// Removes a task that is no longer computed.
     pub(crate) fn end(&self, task: &Task) {
         let mut book = self.lock();
         let (task, epoch) = task.key();
@@ -141,7 +145,7 @@ impl Journal {
         }
     }
 
-    /// The worker is asked to end, or ends: nothing that it is at from now on is held against the tasks.
+    /// Closes the journal when the worker is asked to stop or ends: from now on no task is blamed for the end of the process.
     pub(crate) fn close(&self) {
         let mut book = self.lock();
         book.is_closed = true;
@@ -156,7 +160,7 @@ impl Book {
         let written = encode(&self.boot, self.instance, &self.computing).map_err(io::Error::other);
         if let Err(error) = written.and_then(|bytes| self.page.write(&bytes)) {
             tracing::warn!(%error, "what it computes is not written down");
-            // An older page would name the wrong tasks.
+            // Remove the older page, because it names the wrong tasks.
             self.page.clear();
         }
     }
@@ -194,7 +198,7 @@ impl Page {
         match self {
             Self::None => {}
             Self::Memory(bytes) => bytes.clear(),
-            // One that can be neither written nor emptied is left behind.
+            // Abandon a file that can be neither written nor emptied.
             Self::File(file) => {
                 if file.set_len(0).is_err() {
                     *self = Self::None;
@@ -204,7 +208,7 @@ impl Page {
     }
 }
 
-/// Which start of this machine it is; nothing where the system does not tell.
+/// Returns the boot id of this machine; empty if the system has none.
 fn boot() -> String {
     let boot_id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     boot_id.trim().to_owned()
@@ -220,7 +224,7 @@ fn encode(boot: &str, instance: u64, computing: &[HeldLease]) -> Result<Vec<u8>,
     Ok(page)
 }
 
-/// What [`encode`] wrote, whatever follows it, and in which start of the machine; `None` for anything else.
+/// Decodes a page of [`encode`] and ignores bytes that follow it. Returns the boot id and the tasks; `None` for anything else.
 fn decode(page: &[u8]) -> Option<(String, Death)> {
     let front = page.get(..FRONT)?;
     if front[..8] != *MAGIC || front[8..12] != VERSION.to_le_bytes() {
@@ -259,7 +263,7 @@ mod tests {
         journal.begin(&first);
         journal.begin(&second);
         journal.end(&first);
-        // It dies; the next one too, before it has told anybody.
+        // Two processes die in a row, the second before it has reported the first death.
         assert_eq!(named(&open(8)), Some((7, vec![2])));
         let journal = open(9);
         assert_eq!(journal.death().map(|death| death.computing), Some(vec![second.lease()]));

@@ -1,9 +1,10 @@
-//! A farm machine: joins a coordinator, renders tiles, puts frames together.
+//! A farm machine: connects to a coordinator, renders tiles and assembles frames.
 //!
-//! Talking is asynchronous; work is not. Two lanes take tasks, one renders and one joins what is there; a thread prepares the frames of
-//! tasks that were fetched ahead. Each of these three prepares scenes and frames on a rayon pool of its own. Rendering has one more pool.
-//! All have as many threads, and rayon's global pool is never started. Results go up while the next
-//! task runs. When the session breaks, what runs goes on, and what is done is kept: the next session brings both along.
+//! Communication is asynchronous; computation is not. Two lanes execute tasks: one renders, one combines existing outputs. A third
+//! thread prepares the frames of tasks that arrived early. Each of these three threads prepares scenes and frames on a rayon pool
+//! of its own. Rendering has one more pool. All pools have the same number of threads, and rayon's global pool is never started.
+//! Results are uploaded while the next task runs. When the session breaks, running tasks continue and finished results are kept.
+//! The next session reports both.
 #![deny(missing_docs)]
 
 mod availability;
@@ -52,7 +53,7 @@ pub use plan::{FEATURES, FIRST_PASS, FIRST_PASS_BLOCKS, LAYERS, PAINTING, STATIS
 pub use sums::decode as decode_sums;
 pub use worker::Worker;
 
-/// The build of the engine that this program's workers render with.
+/// Returns the build of the engine that this program's workers render with.
 pub fn engine() -> &'static str {
     femc_fault::pretended(femc_fault::Pretense::Engine).unwrap_or(femc_pipeline::BUILD)
 }

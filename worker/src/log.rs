@@ -1,8 +1,8 @@
-//! What is written down while a task is done: the events of the thread that does it.
+//! Logs of tasks: each log collects the events of the thread that executes the task.
 //!
-//! [`TaskLogs`] is a layer of the program's subscriber. A thread that works for a task says so ([`TaskLog::hear`]), and the
-//! layer notes that thread's events in the task's log; those of other threads are nobody's. Without the layer a log is its
-//! header alone.
+//! [`TaskLogs`] is a layer of the program's tracing subscriber. A thread marks its work for a task with [`TaskLog::hear`], and the
+//! layer writes that thread's events to the task's log. Events of other threads go to no task log. Without the layer, a log
+//! consists of its header alone.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -19,7 +19,7 @@ thread_local! {
     static CURRENT: RefCell<Option<TaskLog>> = const { RefCell::new(None) };
 }
 
-/// Notes events in the logs of tasks.
+/// Subscriber layer that writes events to the logs of tasks.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct TaskLogs;
 
@@ -37,7 +37,7 @@ impl<S: Subscriber> Layer<S> for TaskLogs {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TaskLog(Arc<Mutex<Lines>>);
 
-/// The first lines and the last ones: what led to an end is near one of the two.
+/// The first and the last lines of a log. The cause of a failure is usually near one of the two.
 #[derive(Debug, Default)]
 struct Lines {
     began: Option<Stopwatch>,
@@ -49,24 +49,24 @@ struct Lines {
 }
 
 impl TaskLog {
-    /// Bytes of the first lines, and of the last.
+    /// Size limit of the first lines and of the last lines, bytes each.
     const HALF: usize = 30 << 10;
-    /// Longest line, bytes.
+    /// Size limit of a line, bytes.
     const LINE: usize = 4 << 10;
 
-    /// The task begins.
+    /// Starts the clock of the task.
     pub(crate) fn begin(&self) {
         self.lock().began = Some(Stopwatch::start());
     }
 
-    /// Seconds since the task began; `None` if it did not.
+    /// Returns the seconds since the task began; `None` if it has not begun.
     pub(crate) fn seconds(&self) -> Option<f64> {
         self.lock().began.map(Stopwatch::seconds)
     }
 
-    /// Does `work`; this thread's events are the task's meanwhile.
+    /// Runs `work` and collects this thread's events in the task's log meanwhile.
     pub(crate) fn hear<T>(&self, work: impl FnOnce() -> T) -> T {
-        /// Puts back what was there, also if the work panics.
+        /// Restores the previous log on drop, even if the work panics.
         struct Back(Option<TaskLog>);
         impl Drop for Back {
             fn drop(&mut self) {
@@ -85,7 +85,7 @@ impl TaskLog {
         lines.put(cut(&line.replace('\n', "\n             "), Self::LINE).to_owned());
     }
 
-    /// The header and the lines, in at most `limit` bytes: what does not fit is left out in the middle.
+    /// Returns the header and the lines in at most `limit` bytes. Lines that do not fit are left out in the middle.
     pub(crate) fn text(&self, header: &str, limit: usize) -> String {
         let lines = self.lock();
         let all: Vec<&String> = lines.first.iter().chain(&lines.last).collect();
@@ -128,7 +128,7 @@ impl Lines {
     }
 }
 
-/// How many of the lines fit into `room` bytes.
+/// Returns how many of the lines fit into `room` bytes.
 fn fitting<'a>(lines: impl Iterator<Item = &'a String>, mut room: usize) -> usize {
     let fits = |line: &&String| {
         let needed = line.len() + 1;
@@ -139,17 +139,17 @@ fn fitting<'a>(lines: impl Iterator<Item = &'a String>, mut room: usize) -> usiz
     lines.take_while(fits).count()
 }
 
-/// The first `most` bytes, or fewer, of whole characters.
+/// Returns a prefix of whole characters with at most `most` bytes.
 pub(crate) fn cut(text: &str, most: usize) -> &str {
     &text[..text.floor_char_boundary(most)]
 }
 
-/// An event's message, then its fields.
+/// Visitor that writes an event's message, then its fields.
 struct Line<'a>(&'a mut String);
 
 impl Visit for Line<'_> {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
-        // Writing into a string does not fail.
+        // Writing to a string cannot fail.
         let _ = match field.name() {
             "message" => write!(self.0, " {value:?}"),
             name => write!(self.0, " {name}={value:?}"),
@@ -157,7 +157,7 @@ impl Visit for Line<'_> {
     }
 }
 
-/// The finest level that a task's log holds.
+/// Finest level that a task's log contains.
 pub const TASK_LOG_LEVEL: Level = Level::DEBUG;
 
 #[cfg(test)]

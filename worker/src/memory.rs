@@ -1,9 +1,10 @@
-//! A limit of memory: a worker above it lets go of its caches, or gives the task back.
+//! Memory limit of a worker. A worker above the limit clears its caches or gives the task back.
 //!
-//! Before a task begins, the worker's resident size and the most that a task of this kind has added so far must fit under the
-//! limit. If they do not, cached scenes and frames go, except those that a running task uses; if they do not then, the task is
-//! given back for want of resources, and the coordinator lets the worker rest. A first task of a kind is estimated at nothing:
-//! the limit keeps a worker from growing on, it cannot keep one task from being too large.
+//! Before a task begins, the worker adds its resident size and the largest growth so far by a task of this kind. The sum must fit
+//! under the limit. If it does not, the worker clears its cached scenes and frames, except those that a running task uses. If it
+//! still does not fit, the worker gives the task back for lack of resources, and the coordinator lets the worker rest. The estimate
+//! for the first task of a kind is zero: the limit keeps a worker from growing further, but it cannot keep one task from being too
+//! large.
 
 use std::fmt;
 use std::sync::Arc;
@@ -13,7 +14,7 @@ use femc_model::{Failure, Near, StageKind};
 
 use crate::Cache;
 
-/// A worker's limit of resident memory, and how its size is known.
+/// A limit of resident memory, with the function that measures the resident size.
 #[derive(Clone)]
 pub struct MemoryLimit {
     bytes: u64,
@@ -27,35 +28,36 @@ impl fmt::Debug for MemoryLimit {
 }
 
 impl MemoryLimit {
-    /// At most `bytes` of this process; `None` where the system does not tell a process's size.
+    /// Creates a limit of `bytes` for this process; `None` if the system does not report a process's size.
     pub fn of_process(bytes: u64) -> Option<Self> {
         resident()?;
         Some(Self { bytes, resident: Arc::new(resident) })
     }
 }
 
-/// Bytes of this process that are in memory, where the system says.
+/// Returns the resident size of this process in bytes, if the system reports it.
 fn resident() -> Option<u64> {
     kilobytes("VmRSS:")
 }
 
-/// The most that this process had in memory since [`forget_peak`], bytes, where the system says.
+/// Returns the peak resident size of this process since [`forget_peak`] in bytes, if the system reports it.
 pub(crate) fn peak() -> Option<u64> {
     kilobytes("VmHWM:")
 }
 
-/// Lets the system count the most anew, where it can; else [`peak`] is the most since the process began.
+/// Resets the peak where the system can. Otherwise [`peak`] counts from the start of the process.
 pub(crate) fn forget_peak() {
-    // The number is the kernel's name for this.
+    // 5 is the kernel's code for resetting the peak.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
-/// Bytes that the system has left for this process, where it says so: of the machine, and of the group of processes that it may be in.
+/// Returns the bytes that the system has left for this process, if it reports them: the smaller of what the machine and what the
+/// control group has left.
 fn available() -> Option<u64> {
     let of_group = |name: &str| -> Option<u64> {
         std::fs::read_to_string(format!("/sys/fs/cgroup/memory.{name}")).ok()?.trim().parse().ok()
     };
-    // Files that were read count, too, until something else needs the room.
+    // The group's use includes cached files, which the kernel drops when memory is needed.
     let files = std::fs::read_to_string("/sys/fs/cgroup/memory.stat")
         .ok()
         .and_then(|text| text.lines().find_map(|line| line.strip_prefix("inactive_file "))?.trim().parse::<u64>().ok());
@@ -74,18 +76,18 @@ fn kilobytes_of(file: &str, field: &str) -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kilobytes| kilobytes << 10)
 }
 
-/// Watches over the limit; without one it does nothing.
+/// Enforces the limit; does nothing without one.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Memory(Option<Arc<Watch>>);
 
 #[derive(Debug)]
 struct Watch {
     limit: MemoryLimit,
-    /// Most that a task of each kind has added.
+    /// Largest growth so far by a task of each kind, bytes.
     largest: [AtomicU64; StageKind::ALL.len()],
 }
 
-/// A task under way.
+/// A running task whose growth is measured.
 pub(crate) struct Measured {
     watch: Option<(Arc<Watch>, usize)>,
     before: u64,
@@ -96,7 +98,7 @@ impl Memory {
         Self(limit.map(|limit| Arc::new(Watch { limit, largest: Default::default() })))
     }
 
-    /// Makes room for a task; its end is to be told to what is returned.
+    /// Makes room for a task. Call [`Measured::end`] on the returned value when the task is done.
     pub(crate) fn begin(&self, kind: StageKind, cache: &Cache) -> Result<Measured, Failure> {
         let Some(watch) = &self.0 else { return Ok(Measured { watch: None, before: 0 }) };
         let kind = kind.place();
@@ -121,9 +123,9 @@ impl Memory {
         Ok(Measured { watch: Some((watch.clone(), kind)), before: watch.resident() })
     }
 
-    /// Refuses what would take more than there is: the system would end the worker in the midst of it.
-    /// - `needs`: bytes that it takes at least;
-    /// - `what`: names it.
+    /// Fails if something needs more memory than there is, because the system would kill the worker in the middle of it.
+    /// - `needs`: lower bound of the bytes needed.
+    /// - `what`: its name for the message.
     pub(crate) fn holds(&self, needs: u64, what: &str) -> Result<(), Failure> {
         let (room, who) = match &self.0 {
             Some(watch) => (Some(watch.limit.bytes.saturating_sub(watch.resident())), "the worker may use (--memory)"),
@@ -138,7 +140,7 @@ impl Memory {
         }
     }
 
-    /// Whether something that is not asked for yet may be prepared.
+    /// Checks that there is room to prepare something that is not needed yet.
     pub(crate) fn has_room_ahead(&self) -> bool {
         let fits = |watch: &Arc<Watch>| {
             let kinds = StageKind::ALL.into_iter().filter(|kind| kind.row().near == Near::Frame);
@@ -156,7 +158,7 @@ impl Watch {
 }
 
 impl Measured {
-    /// The task is done, and what it has made is still there.
+    /// Records the growth at the end of the task. Call it while the task's result still exists.
     pub(crate) fn end(self) {
         if let Some((watch, kind)) = self.watch {
             let added = watch.resident().saturating_sub(self.before);
@@ -169,7 +171,7 @@ impl Measured {
 mod tests {
     use super::*;
 
-    /// A limit of 100 MiB, and the size that the process seems to have.
+    /// Returns a limit of 100 MiB, and the simulated size of the process in MiB.
     fn memory() -> (Memory, Arc<AtomicU64>) {
         let size = Arc::new(AtomicU64::new(0));
         let seen = size.clone();
@@ -218,7 +220,7 @@ mod tests {
 
     #[test]
     fn a_task_begins_when_letting_go_of_the_caches_has_made_room() {
-        // What the cache holds is all that there is in memory.
+        // The cache holds all the memory that is in use.
         let cache = Cache::default();
         cache.hold_something();
         let held = cache.clone();

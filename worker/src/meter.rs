@@ -1,11 +1,12 @@
-//! What tasks take. Processor time is the process's: reading a scene, building its trees, rendering on a pool,
-//! encoding, hashing and sending happen on many threads, and no thread's clock says which task it worked for.
+//! Resource usage of tasks. Processor time is measured for the whole process: reading a scene, building its trees, rendering on a
+//! pool, encoding, hashing and sending happen on many threads, and no thread's clock says which task it worked for.
 //!
-//! So the process's clock is read whenever a task begins or ends, or begins or ends to wait for the network, and what has passed
-//! since the last reading is shared evenly among the tasks that compute; where none does, among those that move bytes; where
-//! there is none of those either, among those that wait for their turn, whose frames are prepared ahead, or for a thread. The sum over all tasks
-//! is what the process used while it had any; what it used while it had none is counted as idle. Both together are the process's time. Costs exactness for each of two tasks that run side by side; workers of one
-//! process share one meter, and with it the coordinator's time where that is in the process, too.
+//! The meter reads the process's clock whenever a task begins or ends, or begins or ends a wait for the network. It shares the time
+//! since the last reading evenly among the tasks that compute. If none computes, it shares the time among those that move bytes. If
+//! none moves bytes either, it shares the time among those that wait for their turn or for a thread; their frames are being
+//! prepared. The sum over all tasks is the process's time while it had any task. Its time without tasks counts as idle. Both
+//! together are the process's total time. The shares of tasks that run side by side are not exact. Workers of one process share one
+//! meter. If the coordinator is in the process, its time is included too.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,18 +15,18 @@ use std::time::Duration;
 
 use crate::memory;
 
-/// What a task does at the moment; of those that do the most, each gets its share.
+/// Current activity of a task, in rising order. The tasks with the highest activity share the processor time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Doing {
-    /// It waits for its turn, or for a thread.
+    /// Waiting for its turn or for a thread.
     Waits,
-    /// Its inputs come in, or its result goes out.
+    /// Downloading inputs or uploading the result.
     Moves,
-    /// It computes.
+    /// Computing.
     Computes,
 }
 
-/// A task's account. Closed when it is dropped: what it has until then stays its own.
+/// Account of a task's usage. Dropping it closes it: the task keeps the time charged so far.
 #[derive(Debug)]
 pub(crate) struct Account {
     meter: Meter,
@@ -35,9 +36,9 @@ pub(crate) struct Account {
     pub(crate) fetched: AtomicU64,
     pub(crate) sent: AtomicU64,
     pub(crate) rays: AtomicU64,
-    /// Nanoseconds from the beginning until the inputs were ready.
+    /// Nanoseconds from the task's beginning until its inputs were ready.
     preparation: AtomicU64,
-    /// Most bytes of the process, 0: not known.
+    /// Peak memory of the process, bytes; 0: unknown.
     peak: AtomicU64,
 }
 
@@ -46,7 +47,7 @@ impl Account {
         self.meter.0.lock().enter(self.number, doing);
     }
 
-    /// Does `work` that waits for the network, for a task that computes before and after.
+    /// Runs `work`, which waits for the network. The task computes before and after it.
     pub(crate) fn moving<T>(&self, work: impl FnOnce() -> T) -> T {
         self.doing(Doing::Moves);
         let done = work();
@@ -54,7 +55,7 @@ impl Account {
         done
     }
 
-    /// The task begins to compute.
+    /// Records that the task begins to compute.
     pub(crate) fn begin(&self) {
         let mut books = self.meter.0.lock();
         if self.meter.0.clock.is_some() && books.computing() == 0 {
@@ -63,7 +64,7 @@ impl Account {
         books.enter(self.number, Doing::Computes);
     }
 
-    /// There is a result, or a failure.
+    /// Records that the task has a result or a failure.
     pub(crate) fn end(&self) {
         if self.meter.0.clock.is_some() {
             self.peak.store(memory::peak().unwrap_or(0), Ordering::Relaxed);
@@ -75,18 +76,18 @@ impl Account {
         self.preparation.store(u64::try_from(after.as_nanos()).unwrap_or(u64::MAX), Ordering::Relaxed);
     }
 
-    /// Seconds from the beginning until the inputs were ready.
+    /// Returns the seconds from the task's beginning until its inputs were ready.
     pub(crate) fn preparation(&self) -> f64 {
         Duration::from_nanos(self.preparation.load(Ordering::Relaxed)).as_secs_f64()
     }
 
-    /// Processor seconds until now.
+    /// Returns the processor seconds until now.
     pub(crate) fn cpu(&self) -> f64 {
         self.meter.0.lock().settle();
         Duration::from_nanos(self.cpu.load(Ordering::Relaxed)).as_secs_f64()
     }
 
-    /// The most that the process had in memory while the task computed, or one that it ran beside.
+    /// Returns the peak memory of the process in bytes while this task or one beside it computed.
     pub(crate) fn peak(&self) -> Option<u64> {
         Some(self.peak.load(Ordering::Relaxed)).filter(|peak| *peak > 0)
     }
@@ -100,7 +101,7 @@ impl Drop for Account {
     }
 }
 
-/// Where processor time is read and shared out; clones are the same one.
+/// Meter that reads processor time and shares it among tasks. Clones share it.
 #[derive(Debug, Clone)]
 pub(crate) struct Meter(Arc<Shared>);
 
@@ -115,19 +116,19 @@ struct Books {
     clock: Option<fn() -> Duration>,
     read: Duration,
     numbers: u64,
-    /// Processor time while there was no account.
+    /// Processor time while no account was open.
     idle: Duration,
     open: BTreeMap<u64, (Doing, Arc<AtomicU64>)>,
 }
 
 impl Meter {
-    /// The one of this process.
+    /// Returns the meter of this process.
     pub(crate) fn of_process() -> Self {
         static METER: LazyLock<Meter> = LazyLock::new(|| Meter::by(Some(process_time)));
         METER.clone()
     }
 
-    /// One that knows of no processor time: a simulation is the same every time.
+    /// Creates a meter without processor time, so that a simulation gives the same result every time.
     pub(crate) fn none() -> Self {
         Self::by(None)
     }
@@ -136,7 +137,7 @@ impl Meter {
         Self(Arc::new(Shared { clock, books: Mutex::new(Books { clock, ..Books::default() }) }))
     }
 
-    /// Processor time of the process until now while it had no task, its start included.
+    /// Returns the processor time so far during which the process had no task. It includes the start of the process.
     pub(crate) fn idle(&self) -> Duration {
         let mut books = self.0.lock();
         books.settle();
@@ -158,7 +159,7 @@ impl Meter {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, Books> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A panic within the few lines under this lock leaves the state consistent.
         self.books.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -175,7 +176,7 @@ impl Books {
         }
     }
 
-    /// Shares out what has passed since the last reading.
+    /// Shares out the time since the last reading.
     fn settle(&mut self) {
         let Some(clock) = self.clock else { return };
         let now = clock();
@@ -194,14 +195,14 @@ impl Books {
     }
 }
 
-/// Processor time of this process, all of its threads, since it began.
+/// Returns the processor time of all threads of this process since it began.
 #[cfg(unix)]
 pub fn process_time() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     Duration::new(time.tv_sec.try_into().unwrap_or(0), time.tv_nsec.try_into().unwrap_or(0))
 }
 
-/// Not known here.
+/// Returns zero: this system does not report processor time.
 #[cfg(not(unix))]
 pub fn process_time() -> Duration {
     Duration::ZERO

@@ -1,4 +1,4 @@
-//! What a worker counts over its life, and the page that shows it.
+//! Counters of a worker, and the metrics page that shows them.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -12,13 +12,13 @@ use crate::meter::Meter;
 use crate::table::{Table, Task};
 use crate::threads::LeftBehind;
 
-/// Counts what a worker does; clones are the same one.
+/// Counters of a worker. Clones share them.
 #[derive(Debug, Clone, Default)]
 pub struct Metrics(Arc<Inner>);
 
 #[derive(Debug)]
 struct Inner {
-    /// Set when the worker runs.
+    /// Set when the worker starts.
     parts: OnceLock<(Arc<Table>, Cache, Meter, LeftBehind)>,
     is_connected: AtomicBool,
     sessions: Counter,
@@ -29,7 +29,7 @@ struct Inner {
     used: Used,
 }
 
-/// What tasks took.
+/// Total usage of tasks.
 #[derive(Debug, Default)]
 struct Used {
     wall: Seconds,
@@ -59,7 +59,7 @@ impl Default for Inner {
 
 impl Metrics {
     pub(crate) fn watch(&self, table: &Arc<Table>, cache: &Cache, meter: &Meter, left_behind: &LeftBehind) {
-        // A second worker with the same counters is looked at no closer.
+        // If a second worker shares these counters, the page shows only the first one's table, cache and meter.
         let _ = self.0.parts.set((table.clone(), cache.clone(), meter.clone(), left_behind.clone()));
     }
 
@@ -72,7 +72,7 @@ impl Metrics {
         self.0.is_connected.store(false, Ordering::Relaxed);
     }
 
-    /// The coordinator has taken notice of what came of a task.
+    /// Counts a task whose report the coordinator accepted.
     pub(crate) fn accepted(&self, task: &Task) {
         match task.outcome() {
             Some(Ok(_)) => self.0.done.add(task.assignment.task.stage.kind.name(), 1),
@@ -104,7 +104,7 @@ impl Metrics {
         self.0.used.sent.add(usage.sent);
     }
 
-    /// How the worker is, and its page.
+    /// Returns the worker's health and its metrics page.
     pub fn report(&self) -> Report {
         let is_connected = self.0.is_connected.load(Ordering::Relaxed);
         let health = match is_connected {

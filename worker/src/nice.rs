@@ -1,14 +1,14 @@
-//! The priority of the threads that compute: others of the machine go first. The threads that talk keep theirs, so that a
-//! busy machine costs a worker speed and not its leases.
+//! Priority of the threads that compute: other programs on the machine go first. The threads that communicate keep their priority,
+//! so that a busy machine costs a worker speed, not its leases.
 
 use crate::WorkerError;
 
-/// What the threads that compute apply to themselves when they start.
+/// Niceness that compute threads apply to themselves when they start.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Nice(Option<u8>);
 
 impl Nice {
-    /// A niceness, tried on a thread that ends at once.
+    /// Creates a niceness after a trial on a short-lived thread.
     pub(crate) fn tried(niceness: Option<u8>) -> Result<Self, WorkerError> {
         if let Some(niceness) = niceness {
             let tried = std::thread::spawn(move || lower(niceness)).join();
@@ -18,7 +18,7 @@ impl Nice {
         Ok(Self(niceness))
     }
 
-    /// For the calling thread, and those that it starts.
+    /// Applies the niceness to the calling thread and the threads that it starts.
     pub(crate) fn apply(self) {
         if let Some(Err(error)) = self.0.map(lower) {
             tracing::warn!(%error, "a thread keeps its priority");
@@ -26,14 +26,14 @@ impl Nice {
     }
 }
 
-/// Gives the calling thread this niceness, 0 to 19; threads that it starts have it too. On systems other than Linux it is the
-/// whole process's.
+/// Gives the calling thread this niceness, 0 to 19. Threads that it starts inherit it. On systems other than Linux it applies to
+/// the whole process.
 #[cfg(unix)]
 pub(crate) fn lower(niceness: u8) -> Result<(), String> {
     rustix::process::setpriority_process(None, niceness.into()).map_err(|error| error.to_string())
 }
 
-/// Says that there is no niceness here.
+/// Fails: this system has no niceness.
 #[cfg(not(unix))]
 pub(crate) fn lower(_niceness: u8) -> Result<(), String> {
     Err("this system has none".into())

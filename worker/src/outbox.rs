@@ -1,19 +1,19 @@
-//! Results that the coordinator has not acknowledged, on disk: a worker that is killed brings them along when it starts again.
+//! Results that the coordinator has not acknowledged, on disk. A worker that was killed uploads them after its restart.
 //!
-//! One file a result, written beside the work by a thread of its own, removed when the coordinator has answered:
+//! Each result is one file. A separate thread writes it while the worker goes on, and removes it when the coordinator has answered:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCDONE` |
 //! | 4 | format version, 6 |
 //! | 32 | BLAKE3 of all that follows |
 //! | 8 | length of the head |
-//! | | the head, in postcard: build of the engine, assignment, job, result, what it took, log, lengths of the artifacts |
+//! | | the head, in postcard: build of the engine, assignment, job, result, usage, log, lengths of the artifacts |
 //! | | the artifacts |
 //!
-//! A file is written under another name, synced and renamed, so that it is there whole or not at all. What does not fit the
-//! checksum all the same (a disk may lie) is reported and removed: the task is done again. A folder serves one worker at a
-//! time. A result that the folder has no room for is kept in memory alone.
+//! A file is written under a temporary name, synced and renamed, so that it is either complete or absent. A file whose checksum is
+//! wrong nevertheless (a disk may lie) is reported and removed, and its task is done again. A folder serves one worker at a time. A
+//! result for which the folder has no room is kept in memory only.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fs::{self, File, TryLockError};
@@ -34,20 +34,20 @@ const MAGIC: &[u8; 8] = b"FEMCDONE";
 const VERSION: u32 = 6;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
-/// Most results that wait to be written.
+/// Largest number of results that wait to be written.
 const LONGEST: usize = 256;
-/// Folders that are tried when one is taken.
+/// Number of folders to try when folders are taken.
 const FOLDERS: u32 = 1000;
 
-/// A result of an earlier life.
+/// A result from before the restart.
 #[derive(Debug)]
 pub(crate) struct Restored {
     pub(crate) assignment: Assignment,
     pub(crate) spec: JobSpec,
     pub(crate) product: Product,
-    /// What it took, without sending the result.
+    /// Usage of the task, without the upload of the result.
     pub(crate) usage: Option<Usage>,
-    /// Seconds that it took, and the log's text.
+    /// Duration of the task in seconds, and the log's text.
     pub(crate) log: Option<(f64, String)>,
 }
 
@@ -62,17 +62,17 @@ struct Head {
     lengths: Vec<u64>,
 }
 
-/// Keeps results; clones share it. The default keeps nothing.
+/// Storage for unacknowledged results. Clones share it. The default stores nothing.
 #[derive(Debug, Clone, Default)]
 pub(crate) enum Outbox {
     #[default]
     Nothing,
     Folder(Arc<WriteQueue>),
-    /// And the build of the engine whose results they are.
+    /// The memory, and the engine build that its results come from.
     Memory(MemoryOutbox, Arc<str>),
 }
 
-/// An outbox in memory, for simulations; clones are the same one. What it keeps outlives its worker, and is there at once.
+/// An outbox in memory, for simulations. Clones share it. Its results outlive the worker and are stored immediately.
 #[derive(Debug, Clone, Default)]
 pub struct MemoryOutbox(Arc<Mutex<BTreeMap<Key, Vec<u8>>>>);
 
@@ -81,7 +81,7 @@ impl MemoryOutbox {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Something happens to what is kept: `change` is shown the bytes of each result, and says whether they stay.
+    /// Simulates damage: `change` may change the bytes of each result and returns whether to keep the result.
     pub fn harm(&self, mut change: impl FnMut(&mut Vec<u8>) -> bool) {
         self.lock().retain(|_, bytes| change(bytes));
     }
@@ -111,34 +111,34 @@ impl MemoryOutbox {
 pub(crate) struct WriteQueue {
     folder: PathBuf,
     line: Mutex<Line>,
-    /// There is something in the line, or it is closed.
+    /// Signaled when the line gets an entry or is closed.
     called: Condvar,
     writer: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// A lease: what a result belongs to.
+/// A lease; each result belongs to one.
 type Key = (TaskKey, Epoch);
 
-/// What the writer has yet to do. Bounded: who is answered leaves the line.
+/// Queue of the writer thread. It is bounded, and answered results leave it.
 #[derive(Debug, Default)]
 struct Line {
     /// Results that wait to be written, oldest first.
     keeps: VecDeque<Arc<Task>>,
-    /// Those that are on disk, or are being written.
+    /// Results that are on disk or being written.
     there: BTreeSet<Key>,
-    /// Those of them that were answered.
+    /// Results to remove from disk, because the coordinator has answered.
     forgets: VecDeque<Key>,
     closed: bool,
 }
 
-/// What the writer does next.
+/// Next action of the writer.
 enum Order {
     Keep(Arc<Task>),
     Forget(Key),
 }
 
 impl Line {
-    /// Answers first: they make room.
+    /// Takes the next action. Removals come first, because they make room.
     fn next(&mut self) -> Option<Order> {
         if let Some(key) = self.forgets.pop_front() {
             return Some(Order::Forget(key));
@@ -151,11 +151,11 @@ impl Line {
 
 impl WriteQueue {
     fn line(&self) -> MutexGuard<'_, Line> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A panic within the few lines under this lock leaves the state consistent.
         self.line.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The next order; waits for one. `None`: the line is closed, and all is done.
+    /// Waits for the next action. Returns `None` when the line is closed and empty.
     fn next(&self) -> Option<Order> {
         let mut line = self.line();
         loop {
@@ -171,8 +171,8 @@ impl WriteQueue {
 }
 
 impl Outbox {
-    /// Opens it and reads what an earlier worker left there.
-    /// - `engine`: its build; another's results are dropped.
+    /// Opens the outbox and reads the results that an earlier worker left there.
+    /// - `engine`: this worker's engine build; results of other builds are dropped.
     pub(crate) async fn open(place: OutboxPlace, engine: &str) -> Result<(Self, Vec<Restored>), WorkerError> {
         let engine: Arc<str> = engine.into();
         match place {
@@ -226,7 +226,7 @@ impl Outbox {
         Ok((Self::Folder(queue), restored))
     }
 
-    /// Its folder, which no other worker uses.
+    /// Returns the outbox's folder, which no other worker uses.
     pub(crate) fn folder(&self) -> Option<&Path> {
         match self {
             Self::Folder(queue) => Some(&queue.folder),
@@ -234,7 +234,7 @@ impl Outbox {
         }
     }
 
-    /// Writes a finished task's result, unless the coordinator answers before its turn comes.
+    /// Queues a finished task's result for writing. If the coordinator answers before its turn, the result is not written.
     pub(crate) fn keep(&self, task: &Arc<Task>) {
         let queue = match self {
             Self::Folder(queue) => queue,
@@ -242,7 +242,7 @@ impl Outbox {
             Self::Nothing => return,
         };
         let mut line = queue.line();
-        // Under the lock: whoever answers it after this look finds it in the line.
+        // Check under the lock: an answer that arrives after this check finds the task in the line.
         if !matches!(task.outcome(), Some(Ok(_))) || task.is_cancelled() || line.closed {
             return;
         }
@@ -254,8 +254,8 @@ impl Outbox {
         queue.called.notify_one();
     }
 
-    /// The coordinator has answered, or the lease is over: the worker drops the task, and what is kept of it goes. In this order,
-    /// so that nobody keeps it afterwards.
+    /// Drops the task and its stored result, because the coordinator has answered or the lease is over. The task is dropped first,
+    /// so that nothing stores its result afterwards.
     pub(crate) fn answered(&self, table: &Table, key: &Key) -> Option<Arc<Task>> {
         let task = table.drop_task(key);
         match self {
@@ -273,7 +273,7 @@ impl Outbox {
         task
     }
 
-    /// Waits until all that was asked for is done.
+    /// Waits until the writer has emptied its queue.
     pub(crate) fn close(&self) {
         let Self::Folder(queue) = self else { return };
         queue.line().closed = true;
@@ -285,7 +285,7 @@ impl Outbox {
     }
 }
 
-/// The folder, or the next free one, and its lock, which ends with the process.
+/// Locks the folder, or the next free one. The lock ends with the process.
 fn claim(config: &OutboxConfig) -> Result<(PathBuf, File), WorkerError> {
     for number in 1..=FOLDERS {
         let mut folder = config.folder.clone();
@@ -308,7 +308,8 @@ fn claim(config: &OutboxConfig) -> Result<(PathBuf, File), WorkerError> {
 
 type Files = BTreeMap<Key, u64>;
 
-/// All whole results, and the bytes of their files; removes everything else that is an outbox's.
+/// Reads all complete results and returns them with their file sizes. Removes damaged results, those of other builds, and temporary
+/// files.
 fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
     let (mut files, mut restored) = (Files::new(), Vec::new());
     let mut paths: Vec<PathBuf> = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
@@ -329,7 +330,7 @@ fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
                     Some(result) => {
                         let key = (result.assignment.task, result.assignment.epoch);
                         let place = folder.join(file_name(&key));
-                        // Earlier programs named tasks otherwise.
+                        // Earlier versions named tasks differently.
                         if place != path {
                             fs::rename(&path, place)?;
                         }
@@ -348,7 +349,7 @@ fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
     Ok((files, restored))
 }
 
-/// The front and the head; the artifacts follow.
+/// Encodes a result as a whole file: the front, the head and the artifacts.
 fn encode(task: &Task, product: &Product, engine: &str) -> Result<Vec<u8>, postcard::Error> {
     let head = Head {
         engine: engine.into(),
@@ -370,7 +371,7 @@ fn encode(task: &Task, product: &Product, engine: &str) -> Result<Vec<u8>, postc
     Ok(file)
 }
 
-/// What [`encode`] wrote for the same build of the engine; `None` for anything else.
+/// Decodes a file of [`encode`] from the same engine build; `None` for anything else.
 pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<Restored> {
     let front = file.get(..FRONT)?;
     let is_ours = front[..8] == *MAGIC && front[8..12] == VERSION.to_le_bytes();
@@ -394,7 +395,7 @@ pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<Restored> {
     (at == file.len()).then_some(Restored { assignment, spec, product: Product { result, artifacts }, usage, log })
 }
 
-/// Does the writing.
+/// State of the writer thread.
 struct ResultWriter {
     folder: PathBuf,
     engine: Arc<str>,
@@ -405,13 +406,13 @@ struct ResultWriter {
 }
 
 impl ResultWriter {
-    /// Whether it is kept.
+    /// Writes the task's result; returns whether it is on disk.
     fn keep(&mut self, task: &Task) -> bool {
         let (key, Some(Ok(product))) = (task.key(), task.outcome()) else { return false };
         if self.files.contains_key(&key) {
             return true;
         }
-        // Answered already.
+        // The coordinator has answered already.
         if task.is_cancelled() {
             return false;
         }
@@ -428,12 +429,12 @@ impl ResultWriter {
         }
     }
 
-    /// A file's bytes. What of it is on the disk after a failure is removed, or else counts.
+    /// Writes a file and returns its size. After a failure, it removes the remains; remains that cannot be removed count as used.
     fn write(&mut self, task: &Task, product: &Product) -> io::Result<u64> {
         let room = self.limit.saturating_sub(self.used);
         let full =
             || io::Error::new(io::ErrorKind::StorageFull, format!("the outbox has {} bytes at most", self.limit));
-        // Before all is copied.
+        // Check before all artifacts are copied.
         if product.artifacts.iter().map(|bytes| bytes.len() as u64).sum::<u64>() > room {
             return Err(full());
         }
@@ -458,7 +459,7 @@ impl ResultWriter {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
                 tracing::warn!(task = %key.0, %error, "an acknowledged result stays in the outbox");
             }
-            // What stays takes room as before.
+            // A file that cannot be removed still counts as used.
             Ok(()) | Err(_) => self.used -= bytes,
         }
     }
@@ -478,11 +479,11 @@ fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     file.sync_all()
 }
 
-/// Removes a file that is of no use; the bytes that stay all the same.
+/// Removes a useless file; returns its size if it cannot be removed, else 0.
 fn left_of(path: &Path) -> u64 {
     match fs::symlink_metadata(path) {
         Ok(data) if data.is_file() => fs::remove_file(path).map_or(data.len(), |()| 0),
-        // There is none, or something that is not the outbox's.
+        // There is no file, or it is not one of the outbox's.
         Ok(_) | Err(_) => 0,
     }
 }
@@ -519,7 +520,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A finished task, with a client that is never asked anything.
+    /// Returns a finished task whose client is never used.
     pub(crate) async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
         let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
@@ -529,7 +530,7 @@ pub(crate) mod tests {
         let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, copy_of: None, work };
         let dial = femc_proto::Dial::by(|_, _| {
             let (near, far) = tokio::io::duplex(1 << 16);
-            // Nobody answers, and nobody hangs up.
+            // The other end never answers and never closes the connection.
             std::mem::forget(far);
             Box::pin(async { Ok(femc_proto::Link::new(near)) })
         });
@@ -647,7 +648,7 @@ pub(crate) mod tests {
     async fn what_cannot_be_written_to_its_end_leaves_nothing_behind() {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
-        // Nothing can be put at the first result's place, as on a disk that is full when the file is to be renamed.
+        // A folder blocks the first result's path, so that its rename fails as on a full disk.
         let taken = "3-1.0-render.0-1.9.done";
         fs::create_dir(place.path().join("box").join(taken)).unwrap();
         outbox.keep(&task(1, b"first").await);
@@ -690,7 +691,7 @@ pub(crate) mod tests {
         assert!(tasks.iter().all(|task| writer.keep(task)));
         let sizes = tasks.each_ref().map(|task| fs::metadata(writer.path(&task.key())).unwrap().len());
         assert_eq!(writer.used, sizes.iter().sum::<u64>());
-        // Nobody can remove a folder as a file.
+        // A folder cannot be removed as a file.
         let stuck = writer.path(&tasks[0].key());
         fs::remove_file(&stuck).unwrap();
         fs::create_dir(&stuck).unwrap();
@@ -698,7 +699,7 @@ pub(crate) mod tests {
         assert_eq!(writer.used, sizes.iter().sum::<u64>());
         writer.forget(&tasks[1].key());
         assert_eq!(writer.used, sizes[0]);
-        // And what a failed writing has left, if it goes.
+        // The remains of a failed write count only if they cannot be removed.
         let left = place.path().join("left.new");
         fs::write(&left, [0; 100]).unwrap();
         assert_eq!((left_of(&left), left.exists(), left_of(&left)), (0, false, 0));
@@ -710,7 +711,7 @@ pub(crate) mod tests {
         let (outbox, _) = open(&config(place.path())).unwrap();
         let Outbox::Folder(queue) = outbox.clone() else { panic!("a folder") };
         let tasks = [task(1, b"first").await, task(2, b"second").await];
-        // The disk takes its time: the writer has the first, and waits.
+        // Simulate a slow disk: the writer has the first result and is still writing.
         let mut line = Line::default();
         tasks.iter().for_each(|task| line.keeps.push_back(task.clone()));
         assert!(matches!(line.next(), Some(Order::Keep(task)) if task.key() == tasks[0].key()));
@@ -721,7 +722,7 @@ pub(crate) mod tests {
         {
             let line = queue.line();
             assert!(line.keeps.is_empty(), "what was answered is not written any more");
-            // The first is on the disk, and the second, if the writer was quick enough to take it before it was answered.
+            // The first result is on disk. The second is too if the writer took it before its answer arrived.
             assert!(
                 line.there.is_empty() && line.forgets.len() <= tasks.len(),
                 "what may be on the disk goes: {line:?}"
@@ -743,7 +744,7 @@ pub(crate) mod tests {
         table.keep(first.clone());
         let Outbox::Folder(queue) = outbox.clone() else { panic!("a folder") };
         let answering = {
-            // The answer comes as far as the outbox's line, and no further.
+            // While the line is locked, the answer is blocked just before it.
             let _line = queue.line();
             let answering = std::thread::spawn({
                 let (outbox, table, key) = (outbox.clone(), table.clone(), first.key());

@@ -1,8 +1,8 @@
-//! A scene's files as artifacts, and back.
+//! Packs a scene's files into artifacts and unpacks them.
 //!
-//! Large files are pieces of their own; small ones go into packs, so that a scene of a thousand lamps is no thousand
-//! artifacts. Where a pack ends follows from the files' paths: an edit changes the pack of the edited file and no other.
-//! Pieces are compressed at one level, so that equal files are equal artifacts.
+//! Large files are pieces of their own. Small files share packs, so that a scene of a thousand lamps does not become a thousand
+//! artifacts. The files' paths decide where a pack ends, so an edit changes only the pack of the edited file. Pieces are compressed
+//! at a fixed level, so that equal files are equal artifacts.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -11,43 +11,43 @@ use bytes::Bytes;
 use femc_import::Bundle;
 use femc_model::{Artifact, Digest, Extent, Manifest, ManifestError, Piece};
 
-/// From this size on (bytes) a file is a piece of its own.
+/// Smallest size in bytes of a file that is a piece of its own.
 const LARGE: usize = 256 << 10;
-/// A pack ends at the latest when it has so many bytes,
+/// Largest size of a pack in bytes.
 const PACK: usize = 1 << 20;
-/// and else behind one of so many paths.
+/// A pack also ends after a path whose hash selects it, one path in this many.
 const PATHS: u8 = 32;
-/// zstd's.
+/// Compression level of zstd.
 const LEVEL: i32 = 3;
 
 /// A scene ready to be uploaded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Parcel {
-    /// What a job's `bundle` names, encoded.
+    /// Encoded manifest, the artifact that a job's `bundle` names.
     pub manifest: Bytes,
     /// All pieces, in the manifest's order.
     pub pieces: Vec<Bytes>,
 }
 
-/// Why files are no parcel, or a parcel is no files.
+/// Error of packing or unpacking a scene.
 #[derive(Debug, thiserror::Error)]
 pub enum ParcelError {
-    /// The manifest cannot be.
+    /// The manifest is invalid.
     #[error(transparent)]
     Manifest(#[from] ManifestError),
-    /// A piece that does not unpack to what the manifest says.
+    /// A piece does not unpack to what the manifest says.
     #[error("piece {digest} of the scene is damaged")]
     Piece {
         /// Digest of the piece.
         digest: Digest,
     },
-    /// zstd cannot compress.
+    /// zstd failed to compress.
     #[error("compression: {0}")]
     Compression(std::io::Error),
 }
 
 impl Parcel {
-    /// The files of `bundle`; the same files give the same bytes.
+    /// Packs the files of `bundle`. Equal files give equal bytes.
     pub fn pack(bundle: &Bundle) -> Result<Self, ParcelError> {
         let (mut manifest, mut pieces) = (Manifest::default(), Vec::new());
         let mut seal = |content: &[u8], files: &mut Vec<(&String, u64)>| {
@@ -83,23 +83,23 @@ impl Parcel {
         Ok(Self { manifest: manifest.encode()?.into(), pieces })
     }
 
-    /// What a job's `bundle` says.
+    /// Returns the manifest's digest, the value of a job's `bundle`.
     pub fn digest(&self) -> Digest {
         Digest::of(&self.manifest)
     }
 
-    /// All artifacts, the manifest at the end: it is there only if its pieces are.
+    /// Returns all artifacts. The manifest comes last, so that it is in the store only if its pieces are.
     pub fn artifacts(&self) -> Vec<Bytes> {
         self.pieces.iter().chain([&self.manifest]).cloned().collect()
     }
 
-    /// Bytes of all artifacts.
+    /// Returns the total size of the artifacts in bytes.
     pub fn size(&self) -> u64 {
         self.pieces.iter().chain([&self.manifest]).map(|bytes| bytes.len() as u64).sum()
     }
 }
 
-/// The files of `manifest`, of `pieces` in its order.
+/// Unpacks the files of `manifest` from `pieces`, which are in the manifest's order.
 pub(crate) fn unpack(manifest: &Manifest, pieces: &[Bytes]) -> Result<Bundle, ParcelError> {
     let mut contents = Vec::with_capacity(pieces.len());
     for (Piece { artifact, unpacked }, bytes) in manifest.pieces.iter().zip(pieces) {
@@ -115,7 +115,7 @@ pub(crate) fn unpack(manifest: &Manifest, pieces: &[Bytes]) -> Result<Bundle, Pa
     Ok(Bundle(files))
 }
 
-/// The unpacked piece, if it has just `size` bytes.
+/// Unpacks a piece; `None` if it does not have exactly `size` bytes.
 fn content(bytes: &[u8], size: u64) -> Option<Vec<u8>> {
     let mut content = Vec::new();
     let decoder = zstd::stream::read::Decoder::new(bytes).ok()?;
@@ -177,7 +177,7 @@ mod tests {
         for (what, scene) in [("edited", edited), ("grown", grown), ("shrunk", shrunk)] {
             let after = Parcel::pack(&scene).unwrap();
             let new: Vec<_> = after.pieces.iter().filter(|piece| !before.pieces.contains(piece)).collect();
-            // A path behind which a pack ends may come or go: then two change.
+            // The edit may add or remove a path that ends a pack. Then two packs change.
             assert!((1..=2).contains(&new.len()), "{what}: {} of {} pieces", new.len(), after.pieces.len());
             assert!(new.iter().all(|piece| piece.len() < LARGE), "{what}: the images stay");
             assert_ne!(after.digest(), before.digest());
@@ -185,7 +185,7 @@ mod tests {
         }
     }
 
-    /// Small pieces that would be gigabytes: no more is unpacked than the manifest says, and that has a limit of its own.
+    /// Small pieces that would unpack to gigabytes: unpacking stops at the size in the manifest, which has a limit of its own.
     #[test]
     fn a_bomb_is_not_unpacked() {
         let bomb = Bytes::from(zstd::bulk::compress(&vec![0; 1 << 28], LEVEL).unwrap());

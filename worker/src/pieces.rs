@@ -1,8 +1,8 @@
-//! Pieces of scenes, kept near so that a second job of a scene downloads none of them.
+//! Cache of scene pieces, so that a second job of a scene downloads none of them.
 //!
-//! In memory or in a folder, up to a number of bytes; what was used longest ago goes first. What is read is checked against
-//! its digest: a damaged file is removed and downloaded again. Several workers of a machine may share a folder; each then
-//! counts what was there when it started and what it adds itself.
+//! The pieces are in memory or in a folder, up to a number of bytes. The least recently used piece is removed first. Every piece
+//! read is checked against its digest; a damaged file is removed and downloaded again. Several workers of a machine may share a
+//! folder. Each of them then counts the files that it found at its start and those that it adds itself.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -15,7 +15,7 @@ use std::time::{Duration, SystemTime};
 use bytes::Bytes;
 use femc_model::Digest;
 
-/// Pieces by digest; clones share them.
+/// Pieces by digest. Clones share them.
 #[derive(Debug, Clone)]
 pub struct Pieces(Arc<Inner>);
 
@@ -36,9 +36,9 @@ enum Place {
 #[derive(Debug, Default)]
 struct State {
     entries: BTreeMap<Digest, Entry>,
-    /// Bytes of all entries.
+    /// Total size of all entries in bytes.
     bytes: u64,
-    /// Uses so far: the age of an entry.
+    /// Number of uses so far; serves as the clock for the age of entries.
     uses: u64,
 }
 
@@ -46,7 +46,7 @@ struct State {
 struct Entry {
     bytes: u64,
     used: u64,
-    /// In memory only.
+    /// Bytes of the piece; only for pieces in memory.
     content: Option<Bytes>,
 }
 
@@ -62,7 +62,7 @@ impl State {
         self.bytes -= self.entries.remove(digest).map_or(0, |entry| entry.bytes);
     }
 
-    /// Forgets what was used longest ago until there is room for `bytes` more; what that was.
+    /// Removes the least recently used entries until there is room for `bytes` more; returns the digests of the removed entries.
     fn make_room(&mut self, bytes: u64, limit: u64) -> Vec<Digest> {
         let mut gone = Vec::new();
         while self.bytes.saturating_add(bytes) > limit {
@@ -76,19 +76,19 @@ impl State {
 }
 
 impl Pieces {
-    /// What a worker keeps in memory unless it is told otherwise.
+    /// Default limit in memory, bytes.
     pub const IN_MEMORY: u64 = 256 << 20;
-    /// What a worker keeps in a folder unless it is told otherwise.
+    /// Default limit in a folder, bytes.
     pub const IN_FOLDER: u64 = 10 << 30;
-    /// After which a file that a killed worker was writing is removed.
+    /// Age after which the unfinished file of a killed worker is removed.
     const STALE: Duration = Duration::from_secs(3600);
 
-    /// Keeps up to `limit` bytes in memory; 0: none.
+    /// Creates a cache of up to `limit` bytes in memory; 0 disables it.
     pub fn memory(limit: u64) -> Self {
         Self::with(limit, Place::Memory, State::default())
     }
 
-    /// Keeps up to `limit` bytes in `folder`, which is made if it is not there; what it has from an earlier run counts.
+    /// Creates a cache of up to `limit` bytes in `folder`. The folder is created if missing. Pieces from an earlier run count.
     pub fn folder(folder: &Path, limit: u64) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let (mut found, mut state) = (Vec::new(), State::default());
@@ -101,7 +101,7 @@ impl Pieces {
             match name.parse::<Digest>() {
                 Ok(digest) if data.is_file() => found.push((modified, digest, data.len())),
                 Err(_) if name.starts_with(".new-") && modified.elapsed().is_ok_and(|age| age > Self::STALE) => {
-                    // Should it stay, it takes room and does no harm.
+                    // If this fails, the file takes space but does no harm.
                     let _ = fs::remove_file(entry.path());
                 }
                 Ok(_) | Err(_) => {}
@@ -119,22 +119,22 @@ impl Pieces {
         Self(Arc::new(Inner { limit, place, state: Mutex::new(state), fetched: AtomicU64::new(0) }))
     }
 
-    /// Bytes that it holds.
+    /// Returns the total size of the cached pieces in bytes.
     pub fn bytes(&self) -> u64 {
         self.lock().bytes
     }
 
-    /// Bytes that were not here and had to be fetched.
+    /// Returns the number of bytes that were not cached and had to be downloaded.
     pub fn fetched(&self) -> u64 {
         self.0.fetched.load(Ordering::Relaxed)
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A panic within the few lines under this lock leaves the state consistent.
         self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The piece, if it is here and whole.
+    /// Returns the piece if it is cached and undamaged.
     pub(crate) fn get(&self, digest: &Digest) -> Option<Bytes> {
         let kept = {
             let mut state = self.lock();
@@ -157,7 +157,7 @@ impl Pieces {
         sound
     }
 
-    /// Keeps a piece that was fetched, if there is room for it at all.
+    /// Caches a downloaded piece unless it is larger than the limit.
     pub(crate) fn keep(&self, digest: &Digest, bytes: &Bytes) {
         let size = bytes.len() as u64;
         self.0.fetched.fetch_add(size, Ordering::Relaxed);
@@ -166,7 +166,7 @@ impl Pieces {
         }
         let gone = {
             let mut state = self.lock();
-            // Two may have fetched it at the same time.
+            // Two threads may have downloaded the piece at the same time.
             state.forget(digest);
             state.make_room(size, self.0.limit)
         };
@@ -187,7 +187,7 @@ impl Pieces {
     fn delete(&self, digests: &[Digest]) {
         if let Place::Folder(folder) = &self.0.place {
             for digest in digests {
-                // Another worker may have been quicker.
+                // Another worker may have removed the file already.
                 let _ = fs::remove_file(folder.join(digest.to_string()));
             }
         }
@@ -196,12 +196,12 @@ impl Pieces {
 
 fn read(path: &Path) -> Option<Bytes> {
     let bytes = fs::read(path).ok()?;
-    // The order of use outlives the process; should this fail, it is the order of download.
+    // The modification time keeps the order of use across restarts. If this fails, the order of download remains.
     let _ = File::options().write(true).open(path).and_then(|file| file.set_modified(SystemTime::now()));
     Some(bytes.into())
 }
 
-/// Whole or not at all.
+/// Writes a file atomically.
 fn write(folder: &Path, digest: &Digest, bytes: &[u8]) -> io::Result<()> {
     let new = folder.join(format!(".new-{digest}-{}", std::process::id()));
     let written = fs::write(&new, bytes).and_then(|()| fs::rename(&new, folder.join(digest.to_string())));

@@ -1,28 +1,28 @@
-//! The engine's plan as the farm's graph.
+//! Translates the engine's plan into the farm's job graph.
 
 use femc_model::{Graph, Loop, Need, Reach, Role, Round, Scope, StageKind, Template};
 use femc_pipeline as engine;
 
-/// The tag of workers that know first passes. Those of earlier versions cannot read the graph of a job that has one, so all its stages
-/// ask for it.
+/// Tag of workers that support first passes. Workers of earlier versions cannot read the graph of a job with a first pass, so all
+/// stages of such a job require this tag.
 pub const FIRST_PASS: &str = "first-pass";
 
-/// The same of workers that know blocks of first passes.
+/// Tag of workers that support first passes in blocks. All stages of a job that has them require it, as for [`FIRST_PASS`].
 pub const FIRST_PASS_BLOCKS: &str = "first-pass-blocks";
 
-/// The same of workers that know light statistics.
+/// Tag of workers that support light statistics. All stages of a job that has them require it, as for [`FIRST_PASS`].
 pub const STATISTICS: &str = "statistics";
 
-/// The same of workers that know layers.
+/// Tag of workers that support layers. All stages of a job that has them require it, as for [`FIRST_PASS`].
 pub const LAYERS: &str = "layers";
 
-/// The same of workers that know features, and the form of layers that has room for them.
+/// Tag of workers that support features and the layer format with room for them. All stages of a job with layers require it.
 pub const FEATURES: &str = "features";
 
-/// The same of workers that know painted styles, of the stage that paints.
+/// Tag of workers that support painted styles. The stage that paints requires it.
 pub const PAINTING: &str = "painting";
 
-/// The stages of a plan, as a job has them.
+/// Translates the stages of a plan into a job's graph.
 pub fn graph(stages: &[engine::Stage]) -> Graph {
     let has_first_pass = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPass);
     let has_blocks = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPassBlock);

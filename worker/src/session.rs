@@ -1,4 +1,4 @@
-//! One session with the coordinator, from registration to the end of the connection.
+//! A session with the coordinator, from registration to the end of the connection.
 
 use std::collections::BTreeSet;
 use std::future::Future;
@@ -25,19 +25,19 @@ use crate::table::{Table, Task};
 use crate::threads::Ahead;
 use crate::upload::{NotSent, upload, upload_log};
 
-/// Why a session ended.
+/// Reason for the end of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum End {
-    /// The coordinator ended it, or is gone.
+    /// The coordinator ended the session or is gone.
     Lost,
-    /// The worker was told to stop.
+    /// The worker was asked to stop.
     Stopped,
 }
 
-/// A result on its way, or what stopped it.
+/// An uploaded result, or the reason why it was not uploaded.
 type Sent = ((TaskKey, Epoch), Result<TaskResult, NotSent>, Option<TaskLog>, Option<Usage>);
 
-/// The worker's part of a session.
+/// The worker's side of a session.
 pub(crate) struct Session<'a> {
     client: Client,
     table: &'a Arc<Table>,
@@ -45,22 +45,22 @@ pub(crate) struct Session<'a> {
     ahead: &'a mpsc::Sender<Ahead>,
     finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
     config: &'a Config,
-    /// As the coordinator knows it.
+    /// Availability last reported to the coordinator.
     availability: Availability,
-    /// More than the coordinator counts on.
+    /// Specs of the latest jobs; more of them than the coordinator relies on.
     jobs: Latest<JobId, Arc<JobSpec>>,
     claims: Claims,
-    /// Results on their way to the store; they end with the session.
+    /// Uploads in progress; they end with the session.
     uploads: JoinSet<Sent>,
     meter: &'a Meter,
-    /// What went into leases that were taken back, until the next heartbeat.
+    /// Usage of revoked leases, to be reported with the next heartbeat.
     usage: Vec<TaskUsage>,
-    /// Results that are uploaded or reported, and not answered.
+    /// Results that are being uploaded or are reported, but not answered.
     sending: BTreeSet<(TaskKey, Epoch)>,
 }
 
 impl<'a> Session<'a> {
-    /// How long the coordinator may take to hear of the end.
+    /// Time limit for saying goodbye to the coordinator.
     const FAREWELL: Duration = Duration::from_millis(500);
 
     pub(crate) fn new(
@@ -89,8 +89,8 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Works until the session or the worker ends. When the session is lost, what runs goes on, and results are kept for the
-    /// next one.
+    /// Works until the session or the worker ends. When the session is lost, running tasks continue, and results are kept for the
+    /// next session.
     pub(crate) async fn run<S: Future<Output = ()>>(
         mut self,
         registration: Registration,
@@ -108,7 +108,7 @@ impl<'a> Session<'a> {
             () = tokio::time::sleep(Claims::INTRODUCTION) => return Err(silent()),
         };
         let mut heartbeat: Option<Interval> = None;
-        // Once it was asked to stop: until when it may finish what it is at.
+        // Deadline for the running tasks, set once the worker is asked to stop.
         let mut until: Option<Instant> = None;
         let end = loop {
             let draining = until.is_some();
@@ -135,7 +135,7 @@ impl<'a> Session<'a> {
                 }
                 Some(key) = self.finished.recv() => self.send(key),
                 Some(sent) = self.uploads.join_next(), if !self.uploads.is_empty() => {
-                    // One that panicked, or was aborted, has nothing to report.
+                    // An upload that panicked or was aborted has nothing to report.
                     if let Ok(sent) = sent {
                         self.report(sent, &out).await;
                     }
@@ -156,14 +156,14 @@ impl<'a> Session<'a> {
                     Ok(Some(message)) => self.hear(message, &out).await,
                     Err(error) => break Err(error),
                 },
-                // Last: what the coordinator has said meanwhile is heard first.
+                // This branch is last, so that messages which have arrived meanwhile are read first.
                 () = tokio::time::sleep_until(self.claims.end()) => {
                     tracing::warn!(url = self.client.url(), "coordinator is silent: no lease is counted on any more");
                     break Ok(End::Lost);
                 }
             }
         };
-        // Once asked to stop it does not look for the coordinator again.
+        // A worker that is asked to stop does not reconnect.
         let end = if until.is_some() { Ok(End::Stopped) } else { end };
         if matches!(end, Ok(End::Stopped)) {
             Self::farewell(self.table.clear(), out, incoming).await;
@@ -171,7 +171,7 @@ impl<'a> Session<'a> {
         end
     }
 
-    /// Tells the coordinator when the worker's hours begin and end; at their end what waits is given back.
+    /// Reports to the coordinator when the worker's hours begin or end. At their end, waiting tasks are given back.
     async fn apply_hours(&mut self, out: &Outgoing) {
         let availability = self.config.shift.now();
         if availability == self.availability {
@@ -191,7 +191,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Says that the worker is there, and how far its tasks are.
+    /// Sends a heartbeat with the progress of the tasks.
     async fn beat(&mut self, out: &Outgoing) {
         let now = Instant::now();
         let held = self.table.held();
@@ -212,7 +212,7 @@ impl<'a> Session<'a> {
                 };
                 let task = (assignment.task, assignment.epoch);
                 if self.availability == Availability::Off {
-                    // Dealt before the coordinator had heard of it.
+                    // The coordinator assigned this task before it received the notice.
                     let failure = Failure::Cancelled;
                     let (task, epoch) = task;
                     return out.send(FromWorker::Failed { task, epoch, failure, log: None, usage: None }).await;
@@ -225,7 +225,7 @@ impl<'a> Session<'a> {
                 });
                 self.claims.assigned(task, assignment.lease);
                 self.table.put(Arc::new(Task::new(assignment, spec.clone(), self.client.clone(), self.meter)));
-                // Without its thread the worker is ending.
+                // If that thread is gone, the worker is ending.
                 ahead.into_iter().for_each(|ahead| drop(self.ahead.send(ahead)));
             }
             ToWorker::Renewed { heartbeat, leases, intake } => {
@@ -233,7 +233,7 @@ impl<'a> Session<'a> {
                 if intake == Intake::Drained {
                     give_back(self.table.clear_line(), out).await;
                 }
-                // Results that an earlier session did not get rid of, and those that could not be sent.
+                // Send the results that an earlier session could not deliver, and those whose upload failed.
                 leases.iter().for_each(|lease| self.send((lease.task, lease.epoch)));
             }
             ToWorker::Revoke { task, epoch, reason } => {
@@ -254,15 +254,15 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// The lease is over: done, given to another, or not wanted any more.
+    /// Drops a task whose lease is over: it is done, reassigned or no longer wanted.
     fn forget(&mut self, key: (TaskKey, Epoch)) -> Option<Arc<Task>> {
         self.claims.forget(&key);
         self.sending.remove(&key);
         self.outbox.answered(self.table, &key)
     }
 
-    /// Sends a result's artifacts, while the next task runs. Not of a lease that may be over: it waits until the coordinator
-    /// says that it holds.
+    /// Uploads a result's artifacts while the next task runs. If the lease may be over, nothing is uploaded until the coordinator
+    /// says that the lease holds.
     fn send(&mut self, key: (TaskKey, Epoch)) {
         let Some(task) = self.table.get(&key) else { return };
         if task.outcome().is_none() || !self.claims.holds(&key, Instant::now()) || !self.sending.insert(key) {
@@ -302,7 +302,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Gives back what is held, so that nobody waits for deadlines.
+    /// Gives back all held tasks, so that the coordinator need not wait for the leases to expire.
     async fn farewell(held: Vec<Arc<Task>>, out: Outgoing, mut incoming: Incoming) {
         give_back(held, &out).await;
         drop(out);
@@ -311,7 +311,7 @@ impl<'a> Session<'a> {
     }
 }
 
-/// The next heartbeat; none before the coordinator has said how often.
+/// Waits for the next heartbeat. Never returns before the coordinator has sent the heartbeat interval.
 async fn next(heartbeat: &mut Option<Interval>) {
     match heartbeat {
         Some(heartbeat) => drop(heartbeat.tick().await),
@@ -319,13 +319,13 @@ async fn next(heartbeat: &mut Option<Interval>) {
     }
 }
 
-/// So much later, however long that is.
+/// Returns the time `than_now` from now, at most a year ahead so that the sum does not overflow.
 fn later(than_now: Duration) -> Instant {
     const YEAR: Duration = Duration::from_secs(31_536_000);
     Instant::now() + than_now.min(YEAR)
 }
 
-/// The end of what is left to finish; never before there is one.
+/// Waits for the deadline; never returns without one.
 async fn at(until: Option<Instant>) {
     match until {
         Some(until) => tokio::time::sleep_until(until).await,

@@ -1,4 +1,4 @@
-//! Hands for simulations: the tasks are really done, on the runtime itself, and take the time that the simulation says.
+//! Task execution for simulations: the runtime really executes the tasks, and the simulation decides how long they take.
 
 use std::future::pending;
 use std::sync::atomic::Ordering;
@@ -12,10 +12,10 @@ use crate::finish::Finish;
 use crate::table::{Table, Task};
 use crate::threads::Ahead;
 
-/// Steps in which a task shows its progress.
+/// Number of progress steps per task.
 const STEPS: u32 = 8;
 
-/// Starts the hands; they end when the table is closed. Nothing is prepared ahead.
+/// Starts the executors. They end when the table is closed. They prepare no frames ahead.
 pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Finish) -> mpsc::Sender<Ahead> {
     for lane in Lane::ALL {
         let (pace, tools, table, finish) = (pace.clone(), tools.clone(), table.clone(), finish.clone());
@@ -53,14 +53,14 @@ async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, F
             pending::<()>().await;
         }
     }
-    // They are counted again as they are really taken, in no time at all.
+    // The real execution counts the units again; it takes no simulated time.
     task.units.store(0, Ordering::Relaxed);
     let mut product = execute(task, &Tools { fetch, ..tools.clone() })?;
     product.result.seconds = whole.as_secs_f64();
     Ok(product)
 }
 
-/// Units of work of the task; one for each step of the simulation, where it is not cut.
+/// Returns the task's units of work; for a task that is not cut into units, the number of simulation steps.
 fn units(task: &Task) -> u64 {
     let (stage, work) = (task.assignment.task.stage, &task.assignment.work);
     let size = task.spec.graph.stage(stage.number).map_or(0, |stage| stage.sizes.of(work.item));

@@ -1,6 +1,6 @@
-//! The sums of a frame as one artifact: its tiles' encodings, one after the other.
+//! Encoding of a frame's sums as one artifact: the encoded tiles one after the other.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 8 | `FEMCSUMS` |
 //! | 4 | format version, 1 |
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 const MAGIC: &[u8; 8] = b"FEMCSUMS";
 const VERSION: u32 = 1;
 
-/// All tiles of `frame` that hold samples, in their order; the same bytes for the same sums.
+/// Encodes all tiles of `frame` that hold samples, in their order. Equal sums give equal bytes.
 pub(crate) fn encode(frame: &Frame) -> Vec<u8> {
     let tiles: Vec<Vec<u8>> =
         (0..frame.tiling().count()).into_par_iter().filter_map(|index| frame.tile(index).map(Tile::encode)).collect();
@@ -28,7 +28,7 @@ pub(crate) fn encode(frame: &Frame) -> Vec<u8> {
     bytes
 }
 
-/// The tiles of encoded sums.
+/// Decodes the tiles of encoded sums.
 pub fn decode(bytes: &[u8]) -> Result<Vec<Tile>, FilmError> {
     let mut rest = bytes;
     if take::<8>(&mut rest)? != *MAGIC {

@@ -1,4 +1,4 @@
-//! The tasks that the worker holds, and the line in which they wait.
+//! Table of the tasks that the worker holds, and the queue of the waiting ones.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
@@ -26,25 +26,25 @@ pub(crate) struct Task {
     pub(crate) client: Client,
     /// Set when the lease is over.
     pub(crate) cancel: AtomicBool,
-    /// Units of work done, such as pixel samples; of a task that joins, inputs that are in.
+    /// Units of work done, such as pixel samples. A task that joins outputs counts its inputs read.
     pub(crate) units: AtomicU64,
     phase: AtomicU8,
-    /// What came of it, kept until the coordinator has answered: a session may end in between.
+    /// Outcome of the task, kept until the coordinator has answered, because a session may end in between.
     outcome: OnceLock<Outcome>,
-    /// What is written down meanwhile.
+    /// Log of the running task.
     pub(crate) log: TaskLog,
     /// Usage so far: processor time, bytes moved, rays.
     pub(crate) account: Account,
     arrived: Stopwatch,
-    /// Seconds that it waited for its turn.
+    /// Seconds that the task waited for its turn.
     waited: OnceLock<f64>,
-    /// Seconds that it took, and the log's text.
+    /// Duration of the task in seconds, and the log's text.
     written: OnceLock<(f64, String)>,
-    /// What it took in an earlier life of the worker, if it was done there.
+    /// Usage before the worker's restart, for a task that was done then.
     earlier: Option<Usage>,
 }
 
-/// What came of a task.
+/// Outcome of a task.
 pub(crate) type Outcome = Result<Product, Failure>;
 
 impl Task {
@@ -70,7 +70,7 @@ impl Task {
         }
     }
 
-    /// A task that an earlier life of this worker has done.
+    /// Creates a task that this worker finished before its restart.
     pub(crate) fn restored(restored: Restored, client: Client, meter: &Meter) -> Self {
         let Restored { assignment, spec, product, usage, log } = restored;
         let task = Self { earlier: usage, ..Self::new(assignment, Arc::new(spec), client, meter) };
@@ -81,28 +81,28 @@ impl Task {
         task
     }
 
-    /// The lease, as a later session brings it along.
+    /// Returns the lease as a later session registers it.
     pub(crate) fn lease(&self) -> HeldLease {
         self.lease_of(self.spec.key())
     }
 
-    /// The same, of a job whose key is known.
+    /// Returns the lease like [`Self::lease`], for a job whose key is known.
     pub(crate) fn lease_of(&self, job: Digest) -> HeldLease {
         let (task, epoch) = self.key();
         HeldLease { task, epoch, steps: self.assignment.work.steps.clone(), job }
     }
 
-    /// What the farm knows of its kind.
+    /// Returns the farm's properties of this task kind.
     pub(crate) fn row(&self) -> KindRow {
         self.assignment.task.stage.kind.row()
     }
 
-    /// The light that the first pass of its frame's world has found, where it reads one.
+    /// Returns the light of the first pass of its frame's world, if the task reads one.
     pub(crate) fn light(&self) -> Option<Artifact> {
         self.assignment.work.of_role(Role::Field).next().map(|input| input.output.artifact)
     }
 
-    /// Where its log goes, if the attempt ends so.
+    /// Returns the place for the log of an attempt with this outcome.
     pub(crate) fn log_place(&self, outcome: Option<&Outcome>) -> LogPlace {
         match outcome {
             Some(Ok(_)) => self.row().log,
@@ -110,7 +110,7 @@ impl Task {
         }
     }
 
-    /// Its turn has come; again changes nothing.
+    /// Records that the task's turn has come. Further calls change nothing.
     pub(crate) fn begin(&self) {
         if self.waited.set(self.arrived.seconds()).is_ok() {
             self.log.begin();
@@ -118,17 +118,17 @@ impl Task {
         }
     }
 
-    /// Pixel samples taken.
+    /// Returns the number of pixel samples taken.
     fn rendered(&self) -> u64 {
         if self.row().is_cut { self.units.load(Ordering::Relaxed) } else { 0 }
     }
 
-    /// Whether its turn has come.
+    /// Checks that the task's turn has come.
     pub(crate) fn is_begun(&self) -> bool {
         self.waited.get().is_some()
     }
 
-    /// What it has taken until now; `None` if it has not begun.
+    /// Returns the usage so far; `None` if the task has not begun.
     pub(crate) fn usage(&self) -> Option<Usage> {
         if let Some(earlier) = self.earlier {
             let sent = earlier.sent + self.account.sent.load(Ordering::Relaxed);
@@ -149,17 +149,17 @@ impl Task {
         })
     }
 
-    /// Keeps what came of it; what is there already stays.
+    /// Stores the outcome unless there is one already.
     pub(crate) fn settle(&self, outcome: Outcome) {
         let _ = self.outcome.set(outcome);
     }
 
-    /// Keeps the log as it is to be reported.
+    /// Stores the log as it will be reported.
     pub(crate) fn write_log(&self, seconds: f64, text: String) {
         let _ = self.written.set((seconds, text));
     }
 
-    /// Seconds that it took, and the log's text.
+    /// Returns the duration of the task in seconds, and the log's text.
     pub(crate) fn written_log(&self) -> Option<&(f64, String)> {
         self.written.get()
     }
@@ -168,7 +168,7 @@ impl Task {
         self.outcome.get()
     }
 
-    /// Bytes of its result, if it has one.
+    /// Returns the size of the task's result in bytes, if it has one.
     pub(crate) fn result_bytes(&self) -> Option<u64> {
         let product = self.outcome()?.as_ref().ok()?;
         Some(product.artifacts.iter().map(|bytes| bytes.len() as u64).sum())
@@ -201,33 +201,33 @@ impl Task {
 #[derive(Debug, Default)]
 struct State {
     held: BTreeMap<(TaskKey, Epoch), Arc<Task>>,
-    /// Oldest first.
+    /// Waiting tasks, oldest first.
     line: Vec<Arc<Task>>,
     closed: bool,
-    /// When it held something last; `None`: now.
+    /// Time when the table was first found empty; `None` while it holds tasks.
     idle: Option<Instant>,
 }
 
 impl State {
-    /// Takes the oldest waiting task of this lane out of the line.
+    /// Takes the oldest waiting task of this lane out of the queue.
     fn first(&mut self, lane: Lane) -> Option<Arc<Task>> {
         let place = self.line.iter().position(|task| task.row().lane == lane)?;
         Some(self.line.remove(place))
     }
 }
 
-/// What the worker holds; shared by the session and the threads.
+/// The tasks that the worker holds. The session and the threads share the table.
 #[derive(Debug, Default)]
 pub(crate) struct Table {
     state: Mutex<State>,
     arrived: Condvar,
-    /// The same for those who wait without a thread.
+    /// Counterpart of `arrived` for asynchronous waiters.
     changed: Notify,
 }
 
 impl Table {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A panic within the few lines under this lock leaves the state consistent.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -240,14 +240,14 @@ impl Table {
         self.changed.notify_waiters();
     }
 
-    /// Holds a task that is done.
+    /// Adds a finished task.
     pub(crate) fn keep(&self, task: Arc<Task>) {
         let mut state = self.lock();
         state.idle = None;
         state.held.insert(task.key(), task);
     }
 
-    /// The oldest waiting task of this lane; waits for one. `None` when the table is closed.
+    /// Takes the oldest waiting task of this lane, and blocks until there is one. Returns `None` when the table is closed.
     pub(crate) fn take(&self, lane: Lane) -> Option<Arc<Task>> {
         let mut state = self.lock();
         loop {
@@ -261,7 +261,7 @@ impl Table {
         }
     }
 
-    /// The same without a thread.
+    /// Takes a task like [`Self::take`], but asynchronously.
     pub(crate) async fn taken(&self, lane: Lane) -> Option<Arc<Task>> {
         loop {
             let changed = self.changed.notified();
@@ -278,12 +278,12 @@ impl Table {
         }
     }
 
-    /// The task, if its lease still holds, as far as the worker knows.
+    /// Returns the task if the worker still holds its lease.
     pub(crate) fn get(&self, key: &(TaskKey, Epoch)) -> Option<Arc<Task>> {
         self.lock().held.get(key).cloned()
     }
 
-    /// The task is reported, or its lease is over: stop it if it runs, forget it if it waits.
+    /// Removes a task that is reported or whose lease is over. Stops it if it runs, and takes it out of the queue if it waits.
     pub(crate) fn drop_task(&self, key: &(TaskKey, Epoch)) -> Option<Arc<Task>> {
         let mut state = self.lock();
         let task = state.held.remove(key);
@@ -292,7 +292,7 @@ impl Table {
         task
     }
 
-    /// Forgets the tasks that wait; returns them.
+    /// Removes the waiting tasks and returns them.
     pub(crate) fn clear_line(&self) -> Vec<Arc<Task>> {
         let mut state = self.lock();
         let waiting = std::mem::take(&mut state.line);
@@ -300,23 +300,23 @@ impl Table {
         waiting
     }
 
-    /// Since when the worker holds nothing.
+    /// Returns the time since which the worker has held no task; `None` if it holds one.
     pub(crate) fn idle_since(&self) -> Option<Instant> {
         let mut state = self.lock();
         if state.held.is_empty() { Some(*state.idle.get_or_insert_with(Instant::now)) } else { None }
     }
 
-    /// All that the worker holds, in order of key.
+    /// Returns all tasks that the worker holds, in order of key.
     pub(crate) fn held(&self) -> Vec<Arc<Task>> {
         self.lock().held.values().cloned().collect()
     }
 
-    /// Whether the worker holds nothing.
+    /// Checks that the worker holds no task.
     pub(crate) fn is_empty(&self) -> bool {
         self.lock().held.is_empty()
     }
 
-    /// Stops and forgets everything; returns what was held.
+    /// Stops and removes all tasks and returns them.
     pub(crate) fn clear(&self) -> Vec<Arc<Task>> {
         let mut state = self.lock();
         state.line.clear();

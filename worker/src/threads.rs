@@ -1,11 +1,12 @@
-//! The threads that work: one lane computes, one joins, one thread prepares ahead. Each of these threads prepares scenes and frames on a
-//! pool of its own. Tasks that join compute on that pool, too: on the pool that renders, a finished frame's image would wait for the
-//! render tasks of others. That costs more threads than processors for the moments that joining takes.
+//! Worker threads: a compute lane, a join lane, and a thread that prepares frames ahead. Each of these three prepares scenes and
+//! frames on a pool of its own. Join tasks also compute on that pool: on the render pool, a finished frame's image would wait for
+//! the render tasks of other frames. So there are more threads than processors while a join task runs.
 //!
-//! A lane is two threads: one that does a task, the hand, and one that waits for it. Rendering notices a cancellation within
-//! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, whose thread runs on
-//! detached and whose result is discarded, and goes on with a new one: the worker is free for other tasks at once. A hand that is
-//! left behind costs memory and processor until it ends, so a worker leaves few behind; when there are more, the lane waits.
+//! A lane consists of two threads: the hand, which executes a task, and one that waits for it. Rendering notices a cancellation
+//! within milliseconds, but reading a large scene or building its trees does not. In that case the lane abandons the hand. The
+//! hand's thread runs on detached, its result is discarded, and the lane continues with a new hand. So the worker is free for other
+//! tasks at once. An abandoned hand costs memory and processor time until it ends, so their number is limited. At the limit, the
+//! lane waits.
 
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
@@ -32,7 +33,7 @@ pub(crate) struct Ahead {
     pub(crate) task: (TaskKey, Epoch),
 }
 
-/// Starts the threads; they end when the table is closed and the sender of frames ahead is dropped.
+/// Starts the threads. They end when the table is closed and the sender of frames ahead is dropped.
 pub(crate) fn start(
     name: &str,
     tools: &Tools,
@@ -58,7 +59,7 @@ pub(crate) fn start(
         for Ahead { spec, frame, client, task } in frames {
             let Some(task) = table.get(&task).filter(|_| memory.has_room_ahead()) else { continue };
             let fetch = fetch.of(&task);
-            // The task itself meets the same failure, and reports it.
+            // Errors are ignored here: the task itself fails in the same way and reports it.
             let prepare = || drop(cache.frame(&spec, frame, task.light(), &client, &fetch));
             let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(prepare));
         }
@@ -66,7 +67,7 @@ pub(crate) fn start(
     Ok(ahead)
 }
 
-/// Does the tasks of a lane, one after the other.
+/// Executes the tasks of a lane one after the other.
 struct Runner {
     name: String,
     lane: Lane,
@@ -74,12 +75,12 @@ struct Runner {
     hand: Hand,
 }
 
-/// Hands whose tasks were cancelled and go on all the same; clones share them.
+/// Abandoned hands: threads whose tasks were cancelled but still run. Clones share the list.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LeftBehind(Arc<Mutex<Vec<JoinHandle<()>>>>);
 
 impl LeftBehind {
-    /// How many of them still run.
+    /// Returns the number of abandoned hands that still run.
     pub(crate) fn count(&self) -> usize {
         let mut threads = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         threads.retain(|thread| !thread.is_finished());
@@ -91,7 +92,7 @@ impl LeftBehind {
     }
 }
 
-/// A thread that does tasks.
+/// A thread that executes tasks.
 struct Hand {
     tasks: mpsc::Sender<Arc<Task>>,
     outcomes: mpsc::Receiver<Outcome>,
@@ -99,18 +100,18 @@ struct Hand {
 }
 
 impl Runner {
-    /// Between two looks at whether a task is cancelled.
+    /// Interval between checks whether a task is cancelled.
     const LOOK: Duration = Duration::from_millis(50);
-    /// How long a cancelled task may go on before its hand is left behind.
+    /// Time that a cancelled task may continue before its hand is abandoned.
     const GRACE: Duration = Duration::from_millis(250);
-    /// Most hands that a worker leaves behind at a time.
+    /// Largest number of abandoned hands that run at the same time.
     const MOST: usize = 3;
 
     fn new(name: String, lane: Lane, tools: Tools) -> Result<Self, WorkerError> {
         Ok(Self { hand: Hand::new(&name, lane, &tools)?, name, lane, tools })
     }
 
-    /// Does the task; `None` if it was cancelled and does not end.
+    /// Executes the task; `None` if it was cancelled and does not end.
     fn work(&mut self, task: &Arc<Task>) -> Option<Outcome> {
         let died = || Some(Err(Failure::Panicked { message: "the thread that did it died".into() }));
         if self.hand.tasks.send(task.clone()).is_err() {
@@ -144,7 +145,7 @@ impl Runner {
         }
     }
 
-    /// Whether there is a new hand; without one the lane keeps the old.
+    /// Starts a new hand; returns whether that succeeded. If not, the lane keeps the old one.
     fn replace_hand(&mut self) -> bool {
         match Hand::new(&self.name, self.lane, &self.tools) {
             Ok(hand) => {
@@ -160,7 +161,7 @@ impl Runner {
 }
 
 impl Hand {
-    /// A thread that ends when it is dropped and its task is done.
+    /// Starts a thread. After the hand is dropped, the thread ends with its current task.
     fn new(name: &str, lane: Lane, tools: &Tools) -> Result<Self, WorkerError> {
         let (tasks, line) = mpsc::channel::<Arc<Task>>();
         let (done, outcomes) = mpsc::channel();
@@ -181,13 +182,13 @@ impl Hand {
 }
 
 impl Tools {
-    /// The same tools with threads of their own to prepare scenes and frames.
+    /// Returns a copy of the tools with a separate pool to prepare scenes and frames.
     fn preparing_alone(&self, name: &str) -> Result<Self, WorkerError> {
         let pool = pool(format!("{name} prepare"), self.pool.current_num_threads(), self.nice)?;
         Ok(Self { fetch: self.fetch.with_pool(pool), ..self.clone() })
     }
 
-    /// The same tools with the pool on which the tasks of a lane compute.
+    /// Returns the tools with the pool on which tasks of `lane` compute.
     fn computing_in(self, lane: Lane) -> Self {
         match lane {
             Lane::Compute => self,
@@ -196,7 +197,7 @@ impl Tools {
     }
 }
 
-/// Threads that compute.
+/// Creates a pool of compute threads.
 /// - `threads`: number of threads; 0: as many as the machine runs at once.
 pub(crate) fn pool(name: String, threads: usize, nice: Nice) -> Result<Arc<ThreadPool>, WorkerError> {
     let pool = ThreadPoolBuilder::new()

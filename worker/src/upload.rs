@@ -1,4 +1,4 @@
-//! Artifacts on their way to the store.
+//! Uploads of artifacts to the store.
 
 use std::sync::atomic::Ordering;
 
@@ -11,16 +11,16 @@ use crate::fetch;
 use crate::log::cut;
 use crate::table::Task;
 
-/// Why a result is not in the store.
+/// Reason why a result is not in the store.
 #[derive(Debug)]
 pub(crate) enum NotSent {
-    /// The connection broke: the result is kept and sent again.
+    /// The connection broke. The result is kept and sent again.
     Later,
-    /// The task has failed, or the store will not have it.
+    /// The task failed, or the store rejects the result.
     Failed(Failure),
 }
 
-/// Puts all of a result's artifacts into the coordinator's store.
+/// Uploads all artifacts of a result to the coordinator's store.
 pub(crate) async fn upload(client: &Client, task: &Task, product: &Product) -> Result<(), NotSent> {
     for bytes in &product.artifacts {
         client.put(bytes.clone()).await.map_err(|error| match error {
@@ -39,7 +39,7 @@ pub(crate) async fn upload(client: &Client, task: &Task, product: &Product) -> R
     Ok(())
 }
 
-/// The log of a task that is done, as it is reported: a long one goes to the store, where it can.
+/// Returns the log of a finished task for its report. A long log is uploaded to the store if possible.
 pub(crate) async fn upload_log(client: &Client, task: &Task) -> Option<TaskLog> {
     let (seconds, text) = task.written_log()?;
     let text = match task.log_place(task.outcome()) {

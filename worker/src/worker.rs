@@ -1,4 +1,4 @@
-//! A worker's life: join, work, lose the coordinator, join again.
+//! The main loop of a worker: connect, work, lose the coordinator, reconnect.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -31,19 +31,19 @@ use crate::{availability, simulated, threads};
 pub struct Worker;
 
 impl Worker {
-    /// First pause after a lost coordinator; it doubles.
+    /// First pause after the coordinator is lost. The pause doubles after every failed attempt.
     const FIRST_PAUSE: Duration = Duration::from_millis(100);
     /// Longest pause.
     const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
-    /// Works on the current tokio runtime until `stop` comes; then gives back what it holds and ends. Survives the
-    /// coordinator's absence, unless the configuration bounds its patience.
+    /// Works on the current tokio runtime until `stop` completes, then gives back its tasks and returns. When the coordinator is
+    /// away, the worker reconnects, for at most the time that the configuration allows.
     pub async fn run(config: Config, stop: impl Future<Output = ()> + Send) -> Result<(), WorkerError> {
         Self::boxed(config, Box::pin(stop)).await
     }
 
-    /// [`Self::work`] as a boxed future. The compiler generates an async function where it is polled; the box makes that this crate
-    /// instead of every program that runs a worker.
+    /// Returns [`Self::work`] as a boxed future. The compiler generates an async function where it is polled; the box makes that
+    /// this crate instead of every program that runs a worker.
     #[inline(never)]
     fn boxed<'a>(
         config: Config,
@@ -115,7 +115,7 @@ impl Worker {
                 let died = config.journal.death();
                 session.run(Registration { held, died, ..registration.clone() }, stop.as_mut()).await
             };
-            // The coordinator's number for it, once it has one.
+            // `worker` is the number that the coordinator assigns.
             let span = tracing::info_span!("session", worker = tracing::field::Empty, machine = config.name);
             let ended = session.instrument(span).await;
             config.metrics.disconnected();
@@ -152,13 +152,13 @@ impl Worker {
         };
         config.journal.close();
         table.close();
-        // What it does at the end it does within milliseconds, or the disk is broken.
+        // The outbox's last writes take milliseconds unless the disk is broken.
         let _ = tokio::task::spawn_blocking(move || outbox.close()).await;
         outcome
     }
 }
 
-/// The tags that a worker offers: those that it was given, and what this version knows.
+/// Returns the tags that a worker offers: the configured ones and those that this version supports.
 fn offered(tags: &[String]) -> Vec<String> {
     let mut tags = tags.to_vec();
     for known in [FIRST_PASS, FIRST_PASS_BLOCKS, STATISTICS, LAYERS, FEATURES, PAINTING] {

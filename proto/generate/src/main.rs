@@ -1,7 +1,8 @@
-//! Writes `proto/src/generated` by `proto/femc/v1/femc.proto`, without a `protoc` on the machine: `cargo run -p femc-generate`.
+//! Generates `proto/src/generated` from `proto/femc/v1/femc.proto` without a `protoc` on the machine: `cargo run -p femc-generate`.
 //!
-//! What it writes is kept: who builds the program compiles neither this nor the 27 crates that it needs. The test here holds what is
-//! kept against the interface. It is a crate of its own because that of the interface does not compile while the two differ.
+//! The generated files are checked in, so that a build of the program compiles neither this generator nor the 27 crates that it
+//! needs. The test here compares the checked-in files with the interface. The generator is a separate crate because the interface's
+//! crate does not compile while the two differ.
 
 use prost::Message as _;
 use std::error::Error;
@@ -9,14 +10,14 @@ use std::path::{Path, PathBuf};
 
 const FILES: [&str; 2] = ["femc.v1.rs", "descriptors.bin"];
 
-/// What is long is passed on without a copy; a digest is short.
+/// Fields generated as `Bytes`: long values are passed on without a copy. Digests are short.
 const LONG: [&str; 3] = [".femc.v1.PutRequest.piece", ".femc.v1.GetReply.piece", ".femc.v1.BackupReply.log"];
 
 fn interface() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Writes [`FILES`] into a folder that is there.
+/// Writes [`FILES`] into an existing folder.
 fn generate(out: &Path) -> Result<(), Box<dyn Error>> {
     let descriptors = protox::compile(["femc/v1/femc.proto"], [interface()])?;
     std::fs::write(out.join("descriptors.bin"), descriptors.encode_to_vec())?;
@@ -29,7 +30,7 @@ fn generate(out: &Path) -> Result<(), Box<dyn Error>> {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let kept = interface().join("src/generated");
-    // First elsewhere: where the interface has a fault, what is kept stays.
+    // Generate into another folder first: if the interface has an error, the checked-in files stay as they are.
     let folder = tempfile::tempdir()?;
     generate(folder.path())?;
     for name in FILES {

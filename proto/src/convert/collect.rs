@@ -1,4 +1,4 @@
-//! What a collection of garbage is told and tells.
+//! Requests and replies of a garbage collection.
 
 use super::{ConvertError, each, need};
 use crate::server::{CollectMode, Collected, Volume};

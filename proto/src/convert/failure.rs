@@ -1,4 +1,4 @@
-//! Failures and refusals: enums on both sides, so that nobody decides by text.
+//! Failures and refusals. They are enums on both sides, so that no program has to interpret text.
 
 use femc_model::{Failure, JobId, Refusal};
 

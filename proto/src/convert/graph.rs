@@ -1,16 +1,16 @@
-//! What a job is made of.
+//! Job graphs: stages, inputs and outputs.
 
 use femc_model::{Graph, Hint, Loop, Need, Output, Reach, Role, Round, Scope, Sizes, StageKind, Template};
 
 use super::{ConvertError, each, maybe, need};
 use crate::wire;
 
-/// The number of a row of the farm's tables: its place, from 1.
+/// Returns the wire number of a row of the farm's tables: its index plus 1.
 fn number(place: usize) -> i32 {
     place as i32 + 1
 }
 
-/// The row of this number.
+/// Returns the row with this wire number.
 fn numbered<T: Copy>(table: &[T], field: &'static str, value: i32) -> Result<T, ConvertError> {
     let place = usize::try_from(value).ok().and_then(|number| number.checked_sub(1));
     place.and_then(|place| table.get(place)).copied().ok_or(ConvertError::Unknown { field, value })
@@ -32,7 +32,7 @@ fn role(value: i32) -> Result<Role, ConvertError> {
     numbered(&Role::ALL, "output.role", value)
 }
 
-/// The number of a stage of a graph.
+/// Converts the number of a stage in a graph.
 pub(super) fn stage(value: u32) -> Result<u16, ConvertError> {
     value.try_into().map_err(|_| ConvertError::Range { field: "stage" })
 }
@@ -123,7 +123,7 @@ impl TryFrom<wire::Loop> for Loop {
     }
 }
 
-/// Conversions of a [`Reach`], which the wire has in two messages.
+/// Defines the conversions of a [`Reach`], which two wire messages contain.
 macro_rules! reach {
     ($($wire:ident)::+) => {
         impl From<Reach> for $($wire)::+ {

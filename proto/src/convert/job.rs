@@ -1,4 +1,4 @@
-//! Jobs and what is done to them.
+//! Jobs, and the operations on them.
 
 use femc_model::{Control, FrameRecord, Grid, JobNotes, JobSpec, JobState};
 
@@ -58,13 +58,13 @@ impl TryFrom<wire::JobSpec> for JobSpec {
     }
 }
 
-/// Comment, labels and URL of a job's notes.
+/// Returns the comment, labels and URL of a job's notes.
 pub(super) fn notes_parts(notes: JobNotes) -> (String, Vec<wire::Label>, Option<String>) {
     let JobNotes { comment, labels, notify } = notes;
     (comment, labels.into_iter().map(|(name, value)| wire::Label { name, value }).collect(), notify)
 }
 
-/// Notes of these parts.
+/// Builds the notes from their parts.
 ///
 /// # Errors
 /// Two labels have the same name.

@@ -1,4 +1,4 @@
-//! Wire types to and from the farm's. Out is total; in is checked.
+//! Converts wire types from and to the farm's types. Conversion to the wire always succeeds; conversion from the wire is checked.
 
 mod collect;
 mod failure;
@@ -17,39 +17,39 @@ use femc_model::{Artifact, Digest};
 use crate::wire;
 pub(crate) use collect::collect_mode;
 
-/// A message that makes no sense.
+/// An invalid message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConvertError {
-    /// A batch within a batch.
+    /// A batch contains another batch.
     #[error("nested batch: a batched message may not contain a batch")]
     Nested,
-    /// A field that must be there is not.
+    /// A required field is missing.
     #[error("{field} is missing")]
     Missing {
         /// Name of the field.
         field: &'static str,
     },
-    /// An enumeration's number that this program does not know.
+    /// An enumeration has a number that this program does not know.
     #[error("{field} has the unknown value {value}")]
     Unknown {
         /// Name of the field.
         field: &'static str,
-        /// Value that was sent.
+        /// Value received.
         value: i32,
     },
-    /// Not 32 bytes.
+    /// A digest is not 32 bytes long.
     #[error("{field} is no digest")]
     Digest {
         /// Name of the field.
         field: &'static str,
     },
-    /// Outside of what it may be.
+    /// A value is out of its range.
     #[error("{field} is out of range")]
     Range {
         /// Name of the field.
         field: &'static str,
     },
-    /// Another version of the protocol.
+    /// The protocol version is not supported.
     #[error(
         "the worker speaks protocol {found}, the coordinator takes {} to {}; {}",
         crate::OLDEST,
@@ -57,7 +57,7 @@ pub enum ConvertError {
         if *found > crate::PROTOCOL { "upgrade the coordinator first, then its workers" } else { "upgrade this worker" }
     )]
     Protocol {
-        /// Version of the protocol that the worker speaks.
+        /// Protocol version of the worker.
         found: u32,
     },
 }

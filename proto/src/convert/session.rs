@@ -1,4 +1,4 @@
-//! The messages of a worker's session.
+//! Messages of a worker's session.
 
 use femc_model::{
     Death, FromWorker, HeldLease, Intake, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress,
@@ -106,7 +106,7 @@ impl TryFrom<wire::ToWorker> for ToWorker {
                 Self::Welcome { worker: WorkerId(worker), heartbeat, lease }
             }
             Message::Renewed(wire::Renewed { heartbeat, leases, intake }) => {
-                // Older coordinators do not say it.
+                // Older coordinators leave this field out.
                 let intake = if intake == 0 { Intake::Open } else { intake_of("renewed.intake", intake)? };
                 Self::Renewed { heartbeat, leases: each(leases)?, intake }
             }

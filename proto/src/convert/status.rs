@@ -101,7 +101,7 @@ impl TryFrom<wire::WorstFrame> for WorstFrame {
     type Error = ConvertError;
 
     fn try_from(wire: wire::WorstFrame) -> Result<Self, ConvertError> {
-        // A reason that a later coordinator added is not known here, and nothing depends on it.
+        // Accept a reason that a later coordinator has added: nothing depends on it.
         let stop = match wire::FrameStop::try_from(wire.stop) {
             Ok(wire::FrameStop::Rendering) => FrameStop::Rendering,
             Ok(wire::FrameStop::SampleLimit) => FrameStop::Limit,
@@ -257,6 +257,7 @@ impl From<Intake> for wire::Intake {
     }
 }
 
+/// Converts an [`Intake`].
 /// - `field`: name of the field, for the error.
 pub(super) fn intake_of(field: &'static str, value: i32) -> Result<Intake, ConvertError> {
     let unknown = ConvertError::Unknown { field, value };

@@ -161,7 +161,7 @@ impl TryFrom<wire::TaskResult> for TaskResult {
     }
 }
 
-/// Seconds are summed: one that is not a number would spoil the sum for good.
+/// Checks that a number of seconds is finite. Seconds are summed, and a single NaN would make the sum useless.
 pub(super) fn finite(seconds: f64) -> Result<f64, ConvertError> {
     let is_sound = seconds.is_finite() && seconds >= 0.0;
     is_sound.then_some(seconds).ok_or(ConvertError::Range { field: "seconds" })

@@ -1,4 +1,4 @@
-//! Every message survives the wire, and nonsense is refused.
+//! Tests that every message survives the wire and that invalid ones are refused.
 
 use std::fmt::Debug;
 
@@ -9,7 +9,7 @@ use super::ConvertError;
 use crate::wire;
 use crate::{OLDEST, PROTOCOL};
 
-/// Over the wire as bytes, and back.
+/// Encodes a value for the wire, decodes it, and checks that nothing changed.
 fn crosses<M, W>(value: M)
 where
     M: Clone + PartialEq + Debug + Into<W> + TryFrom<W, Error = ConvertError>,

@@ -1,4 +1,4 @@
-//! What attempts took, and the job that they are of.
+//! Usage of attempts, and the shape of their job.
 
 use std::num::NonZeroU64;
 

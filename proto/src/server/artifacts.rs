@@ -1,4 +1,4 @@
-//! The service `Artifacts`: straight to the store, past the scheduler.
+//! The service `Artifacts`. It uses the store directly, without the scheduler.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use crate::error::to_status;
 use crate::{PIECE, wire};
 use wire::put_request::Part;
 
-/// Most digests that may be asked for at once.
+/// Largest number of digests in one request.
 const DIGESTS: usize = 1 << 16;
 
 #[tonic::async_trait]
@@ -34,7 +34,7 @@ impl wire::artifacts_server::Artifacts for Server {
         }
         let digests = asked.iter().map(|bytes| digest("digest", bytes)).collect::<Result<Vec<_>, _>>()?;
         self.promised.note(&digests).await;
-        // What is there may be read; to ask for nothing is how clients greet.
+        // The store may read the artifacts, which takes a place. Clients send an empty request as a greeting.
         let _place = if digests.is_empty() { None } else { Some(self.places.take(who).await) };
         let missing = self.store.missing(&digests).await.map_err(|error| refuse(&error))?;
         let digests = missing.iter().map(digest_bytes).collect();
@@ -46,7 +46,7 @@ impl wire::artifacts_server::Artifacts for Server {
         let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
         let name = digest("digest", &request.into_inner().digest)?;
         self.promised.note(&[name]).await;
-        // Before the store is asked: an upload that is being finished is waited for.
+        // Wait for an upload that is being finished before asking the store.
         let from = self.uploads.offered(&name).await;
         let found = self.sound(&name, who).await.map_err(|error| refuse(&error))?;
         let answer = if found.is_some() { Answer::There(wire::Empty {}) } else { Answer::From(from) };
@@ -56,7 +56,7 @@ impl wire::artifacts_server::Artifacts for Server {
     async fn put(&self, request: Request<Streaming<wire::PutRequest>>) -> Result<Response<wire::PutReply>, Status> {
         let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
         let place = self.places.take(who).await;
-        // In a task of its own: what has come of an upload is taken in to the last byte also when its sender is gone.
+        // Use a separate task, so that all received bytes of an upload are processed even if the sender is gone.
         let put = tokio::spawn(put(self.clone(), place, request.into_inner()));
         let artifact = put.await.map_err(|error| Status::internal(error.to_string()))??;
         Ok(Response::new(wire::PutReply { artifact: Some(artifact.into()) }))
@@ -87,7 +87,7 @@ impl wire::artifacts_server::Artifacts for Server {
             return Err(to_status(&Refusal::NoSuchArtifact { digest: name }));
         }
         if is_other(found) {
-            // None of the store's faults: it is not what the caller takes it for.
+            // The store is not at fault: the caller expects another artifact.
             return Err(to_status(&Refusal::DigestMismatch { digest: name }));
         }
         let place = Arc::new(self.places.take(who).await);
@@ -97,7 +97,7 @@ impl wire::artifacts_server::Artifacts for Server {
             let _held = reading;
             if let Err(error) = server.store.read(&name, offset, PIECE, &send).await {
                 let is_bad = matches!(error, StoreError::Mismatch { .. } | StoreError::Missing { .. });
-                // What lies there may be sound: the harm was done on the way, or somebody has put it there anew.
+                // The stored artifact may be sound: it was damaged on the way, or it was uploaded again meanwhile.
                 if is_bad && matches!(server.store.has(&name).await, Ok(false)) {
                     server.farm.lost(name).await;
                 }
@@ -106,7 +106,7 @@ impl wire::artifacts_server::Artifacts for Server {
         });
         let sent = self.traffic.sent.clone();
         let replies = ReceiverStream::new(receive).map(move |piece| {
-            // Until the last byte is read, or nobody reads any more.
+            // Hold the place until the last byte is read or the reader is gone.
             let _held = &place;
             sent.add(piece.as_ref().map_or(0, |piece| piece.len() as u64));
             piece.map(|piece| wire::GetReply { piece }).map_err(|error| refuse(&error))
@@ -116,7 +116,7 @@ impl wire::artifacts_server::Artifacts for Server {
 }
 
 impl Server {
-    /// The size of an artifact that is there, whole. What is there is read, which takes a place.
+    /// Returns the size of an artifact if the store has it undamaged. Verification reads the artifact, which takes a place.
     async fn sound(&self, name: &Digest, who: Who) -> Result<Option<u64>, StoreError> {
         if !self.store.has(name).await? {
             return Ok(None);
@@ -138,7 +138,7 @@ async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutReques
     server.promised.note(&[announced]).await;
     let mut upload = match server.uploads.take(&server.store, announced, first.offset).await {
         Ok(Turn::Sends(upload)) => upload,
-        // Its sender need not go on.
+        // The sender can stop.
         Ok(Turn::There(artifact)) => return Ok(artifact),
         Err(no) => return Err(to_status(&no)),
     };
@@ -152,11 +152,11 @@ async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutReques
             return Ok(artifact);
         }
     }
-    // Again: it may have taken long, and bytes that are there already keep their age.
+    // Note it again: the upload may have taken long, and an artifact that was stored before keeps its old time.
     server.promised.note(&[announced]).await;
     let (artifact, novelty) = upload.finish().await.map_err(|no| to_status(&no))?;
     if novelty == Novelty::New {
-        // Its age keeps it.
+        // A new artifact is young, which protects it from collection.
         server.promised.forget(&announced);
     }
     Ok(artifact)

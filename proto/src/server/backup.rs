@@ -1,4 +1,4 @@
-//! A copy of the log on its way, and the names of the artifacts that it refers to.
+//! Sends a copy of the log and the names of the artifacts that it refers to.
 
 use bytes::BytesMut;
 use femc_model::Artifact;
@@ -16,13 +16,13 @@ use wire::backup_reply::Part;
 
 type Sender = mpsc::Sender<Result<wire::BackupReply, Status>>;
 
-/// Artifacts that one message names.
+/// Largest number of artifacts named in one message.
 const NAMES: usize = 10_000;
 
-/// Sends the artifacts that the store has, then the log, as fast as the listener reads.
+/// Sends the names of the artifacts that the store has, then the log, as fast as the client reads.
 pub(super) async fn send(store: Store, backup: Backup, out: Sender) {
     if let Err(status) = try_send(&store, backup, &out).await {
-        // Who does not listen any more need not hear it.
+        // If the client is gone, the error is not needed.
         let _ = out.send(Err(status)).await;
     }
 }
@@ -32,7 +32,7 @@ async fn try_send(store: &Store, Backup { log, references }: Backup, out: &Sende
     for some in digests.chunks(NAMES) {
         let mut artifacts = Vec::new();
         for &digest in some {
-            // What is gone was united with others in the meantime, or is made again by whoever misses it.
+            // A missing artifact was merged into others in the meantime, or will be computed again when it is needed.
             let size = store.size(&digest).await.map_err(|error| refuse(&error))?;
             artifacts.extend(size.map(|bytes| wire::Artifact::from(Artifact { digest, bytes })));
         }

@@ -1,8 +1,9 @@
-//! Removing from the store what no job refers to.
+//! Garbage collection: removes artifacts from the store that no job refers to.
 //!
-//! The store is listed first, then the jobs are asked what they name; what is neither named nor young nor promised to
-//! somebody goes. So nothing goes that a submission under way has been told is there; should it be too slow for the grace
-//! period, it is refused by name and uploads again.
+//! The collection lists the store first, then asks the jobs for the artifacts that they refer to. It removes an artifact that is
+//! not referenced, not young and not promised to a client. So it never removes an artifact that a running submission was told is in
+//! the store. If the submission takes longer than the grace period, it is refused with the names of the missing artifacts and
+//! uploads them again.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, SystemTime};
@@ -15,21 +16,21 @@ use tokio::task::JoinSet;
 use super::promised::Promised;
 use super::{Call, Server, inputs};
 
-/// What a collection does with garbage.
+/// Mode of a garbage collection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CollectMode {
-    /// Only counts it.
+    /// Only counts the garbage.
     DryRun,
-    /// Removes it.
+    /// Removes the garbage.
     Remove,
 }
 
-/// Artifacts, counted.
+/// Number and size of a set of artifacts.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Volume {
     /// Number of artifacts.
     pub artifacts: u64,
-    /// Their bytes.
+    /// Total size in bytes.
     pub bytes: u64,
 }
 
@@ -40,24 +41,24 @@ impl Volume {
     }
 }
 
-/// What a store holds.
+/// Contents of a store, as a collection classifies them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Collected {
-    /// Some job refers to these.
+    /// Artifacts that some job refers to.
     pub referenced: Volume,
-    /// Nobody does, but they are younger than the grace period, or somebody was told lately that they are there.
+    /// Unreferenced artifacts that are younger than the grace period, or that a client was recently told are in the store.
     pub young: Volume,
-    /// Removed, or in a dry run: would be. Also files of uploads that nobody finished.
+    /// Artifacts removed or, in a dry run, to be removed. Includes the files of unfinished uploads.
     pub garbage: Volume,
-    /// The first of the garbage.
+    /// Names of the first artifacts of the garbage.
     pub names: Vec<Artifact>,
 }
 
-/// Shortest grace period: a result's artifacts must have reached the log within it.
+/// Shortest allowed grace period. A result's artifacts must be recorded in the log within it.
 pub const LEAST_GRACE: Duration = Duration::from_secs(60);
-/// Most artifacts that an answer names.
+/// Largest number of artifacts named in an answer.
 const NAMES: usize = 10_000;
-/// Artifacts that are removed at a time; meanwhile uploads wait.
+/// Number of artifacts removed in one step. Uploads wait during a step.
 const AT_ONCE: usize = 64;
 
 pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration) -> Result<Collected, Refusal> {
@@ -105,7 +106,7 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
         CollectMode::DryRun => Sweep::Count,
         CollectMode::Remove => Sweep::Remove,
     };
-    // An upload that was cut may go on for a while, however short the grace period.
+    // An interrupted upload may resume for a while, no matter how short the grace period is.
     let idle = grace.max(Promised::HOLDS);
     let (uploads, bytes) = server.store.sweep_uploads(idle, sweep).await.map_err(|error| store_refusal(&error))?;
     collected.garbage.artifacts += uploads;
@@ -113,7 +114,7 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
     Ok(collected)
 }
 
-/// All that jobs name, also through their scenes.
+/// Returns all artifacts that jobs refer to, directly or through their scenes.
 pub(super) async fn named(
     store: &Store,
     References { mut artifacts, scenes }: References,
@@ -121,7 +122,7 @@ pub(super) async fn named(
     for scene in scenes {
         match inputs::pieces(store, &scene).await {
             Ok(pieces) => artifacts.extend(pieces),
-            // Of a scene that is lost or no scene nothing is known, and nothing can be rendered.
+            // The pieces of a lost or invalid scene are unknown, and it cannot be rendered anyway.
             Err(Refusal::MissingArtifacts { .. } | Refusal::Invalid { .. }) => {
                 tracing::warn!(%scene, "the scene of a job is lost");
             }

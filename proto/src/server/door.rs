@@ -1,7 +1,7 @@
-//! Lets connections in: so many in all, so many from one place, and for long only those that say what they want.
+//! Admits connections. It limits their number in total and per address, and closes connections that make no allowed call.
 //!
-//! A connection that brings no allowed call within the time of [`Limits::introduction`] is closed, whatever it does instead:
-//! nothing, half a handshake, or HTTP/2 frames that ask for nothing. Later on the keepalive of HTTP/2 finds those that are gone.
+//! A connection that makes no allowed call within [`Limits::introduction`] is closed, whatever else it does: nothing, half a
+//! handshake, or HTTP/2 frames that request nothing. After that, the keepalive of HTTP/2 detects dead connections.
 
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -22,39 +22,39 @@ use tonic::transport::server::{Connected, TcpConnectInfo};
 use crate::net::Io;
 use femc_service::Limits;
 
-/// Who is at the other end, as far as a connection tells.
+/// The client at the other end, as far as its connection identifies it.
 #[derive(Debug, Clone)]
 pub(super) struct Peer {
-    /// Unless the connection is no TCP connection.
+    /// Client's address; `None` if the connection is not TCP.
     pub(super) address: Option<SocketAddr>,
-    /// Where it has reached this machine, likewise.
+    /// Local address of the connection; `None` if the connection is not TCP.
     pub(super) reached: Option<SocketAddr>,
-    /// Of the connection, from 1.
+    /// Number of the connection, from 1.
     pub(super) number: u64,
-    /// The certificate that it has shown, after the handshake.
+    /// Client certificate from the TLS handshake.
     pub(super) certificate: Option<CertificateDer<'static>>,
     is_introduced: Arc<AtomicBool>,
     is_served: Arc<AtomicBool>,
 }
 
 impl Peer {
-    /// It has made a call that it may make: its connection may last.
+    /// Records that the client made a call that it may make. Its connection may stay open.
     pub(super) fn introduce(&self) {
         self.is_introduced.store(true, Ordering::Relaxed);
     }
 
-    /// It has got what everybody may have: its end is no refusal. Its connection has as little time as before.
+    /// Records that the client got a public resource. Its end does not count as a refusal, but the connection's deadline remains.
     pub(super) fn serve(&self) {
         self.is_served.store(true, Ordering::Relaxed);
     }
 
-    /// Whether it has asked for something that it may have.
+    /// Checks that the client has requested something that it may have.
     fn is_heard(&self) -> bool {
         self.is_introduced.load(Ordering::Relaxed) || self.is_served.load(Ordering::Relaxed)
     }
 }
 
-/// Counts connections; clones share the count.
+/// Counter and gatekeeper of connections. Clones share the count.
 #[derive(Debug, Clone)]
 pub(super) struct Door {
     limits: Limits,
@@ -63,12 +63,12 @@ pub(super) struct Door {
     inside: Arc<Mutex<Inside>>,
 }
 
-/// What becomes of connections that end without a call that was allowed.
+/// Treatment of connections that end without an allowed call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Unheard {
-    /// They are noted: where certificates are asked for, a wrong one ends in the handshake, before there is a call to refuse.
+    /// They are recorded. With client certificates, a wrong one fails in the handshake, before there is a call to refuse.
     Noted,
-    /// They are nobody's business.
+    /// They are not recorded.
     Ignored,
 }
 
@@ -76,12 +76,12 @@ pub(super) enum Unheard {
 struct Inside {
     all: usize,
     of: BTreeMap<Place, usize>,
-    /// Connections so far.
+    /// Number of connections so far.
     numbers: u64,
     warned: Option<Instant>,
 }
 
-/// Where a connection comes from: one address, or the part of an IPv6 address that is a network's.
+/// Origin of a connection: an IPv4 address, or the network part (64 bits) of an IPv6 address.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Place(Option<IpAddr>);
 
@@ -95,7 +95,7 @@ impl Place {
 }
 
 impl Door {
-    /// Between two warnings.
+    /// Interval between two warnings.
     const WARNS: Duration = Duration::from_secs(10);
 
     pub(super) fn new(limits: Limits, audit: Option<Audit>, unheard: Unheard) -> Self {
@@ -103,11 +103,11 @@ impl Door {
     }
 
     fn lock(&self) -> MutexGuard<'_, Inside> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A panic within the few lines under this lock leaves the state consistent.
         self.inside.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The connection, if there is room; else it is closed.
+    /// Admits the connection if there is room; otherwise closes it.
     pub(super) fn admit<C: Io + Connected>(&self, io: C) -> Option<Admitted<C>> {
         let info = io.connect_info();
         let tcp = (&info as &dyn Any).downcast_ref::<TcpConnectInfo>();
@@ -116,7 +116,7 @@ impl Door {
         let place = Place::of(address);
         let mut inside = self.lock();
         let of_place = inside.of.get(&place).copied().unwrap_or(0);
-        // Connections without an address are a simulation's, or this process's own.
+        // Connections without an address come from a simulation or from this process.
         let is_full_for_one = address.is_some() && of_place >= self.limits.connections_of_one;
         if is_full_for_one || inside.all >= self.limits.connections {
             self.turn_away(&mut inside, address);
@@ -162,7 +162,7 @@ fn connecting(address: Option<SocketAddr>, outcome: &str, why: &str) -> AuditEve
     }
 }
 
-/// One of the connections that are counted.
+/// A counted connection.
 #[derive(Debug)]
 struct Seat {
     inside: Arc<Mutex<Inside>>,
@@ -182,25 +182,25 @@ impl Drop for Seat {
     }
 }
 
-/// A connection that was let in.
+/// An admitted connection.
 #[derive(Debug)]
 pub(super) struct Admitted<C> {
     io: C,
     peer: Peer,
-    /// `None` after its introduction.
+    /// Deadline for the first allowed call; `None` after it.
     deadline: Option<Pin<Box<Sleep>>>,
     idle: Idle,
-    /// Where it is noted, if it ends without an introduction.
+    /// Audit record for a connection that ends without an allowed call.
     audit: Option<Audit>,
     _seat: Seat,
 }
 
-/// Ends a connection on which nothing passes.
+/// Idle timeout: closes a connection without traffic.
 #[derive(Debug)]
 struct Idle {
     limit: Duration,
     passed: Instant,
-    /// It looks then whether something has passed since it looked last.
+    /// Time of the next check for traffic.
     look: Pin<Box<Sleep>>,
 }
 
@@ -209,7 +209,7 @@ impl Idle {
         Self { limit, passed: Instant::now(), look: Box::pin(tokio::time::sleep(limit)) }
     }
 
-    /// What became of reading or writing.
+    /// Processes the outcome of a read or write.
     fn note<T>(&mut self, cx: &mut Context<'_>, polled: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
         if polled.is_ready() {
             self.passed = Instant::now();
@@ -321,7 +321,7 @@ mod tests {
     }
 
     fn far(address: &str) -> Far {
-        // Its other end stays silent for ever.
+        // The other end stays silent forever.
         let (near, other) = tokio::io::duplex(64);
         std::mem::forget(other);
         Far(near, address.parse().unwrap())

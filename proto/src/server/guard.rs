@@ -1,5 +1,5 @@
-//! Stands before all services: what a call of gRPC is, and whether it may pass; what is none goes to the HTTP side, which asks the
-//! same gate.
+//! Access control in front of all services. It maps each gRPC call to an operation and checks it. Requests that are not gRPC go to
+//! the HTTP side, which uses the same gate.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -18,7 +18,7 @@ use super::door::Peer;
 use super::punctual::Pace;
 use crate::error::to_status;
 
-/// What a call of gRPC is, by its path; what is not named here takes an admin.
+/// Returns the operation of a gRPC call by its path. Calls that are not listed here require an admin.
 fn operation(path: &str) -> Operation {
     let Some((service, call)) = path.trim_start_matches('/').split_once('/') else { return Operation::Other };
     match (service, call) {
@@ -46,7 +46,7 @@ fn operation(path: &str) -> Operation {
     }
 }
 
-/// Stands before all services.
+/// Access control in front of all services.
 #[derive(Debug, Clone)]
 pub(super) struct Guard {
     gate: Gate,
@@ -58,7 +58,8 @@ impl Guard {
         Self { gate, http }
     }
 
-    /// Lets the call through, with its caller, its [`Who`] and its [`Trail`]; after so long, if it came too early.
+    /// Checks the call and attaches its caller, its [`Who`] and its [`Trail`]. Returns how long a call that exceeds its rate must
+    /// wait.
     fn check<B>(&self, request: &mut Request<B>) -> Result<Duration, Refusal> {
         let peer = request.extensions().get::<Peer>().cloned();
         let address = peer.as_ref().and_then(|peer| peer.address);
@@ -67,7 +68,7 @@ impl Guard {
         let trail = self.gate.trail(operation, named(path), address.map(|address| address.to_string()));
         request.extensions_mut().insert(trail.clone());
         let place = address.map(|address| address.ip().to_string());
-        // What is no bearer's token is a wrong one.
+        // A header that is not a bearer token counts as a wrong token.
         let bearer = |header: &http::HeaderValue| -> String {
             let token = header.to_str().ok().and_then(|text| text.strip_prefix("Bearer "));
             token.unwrap_or_default().to_owned()
@@ -100,18 +101,18 @@ impl Guard {
     }
 }
 
-/// The call as the record names it.
+/// Returns the call's name in the audit record.
 fn named(path: &str) -> &str {
     path.trim_start_matches('/').trim_start_matches("femc.v1.")
 }
 
-/// Whether a request is a call of gRPC.
+/// Checks that a request is a gRPC call.
 fn is_grpc<B>(request: &Request<B>) -> bool {
     let kind = request.headers().get(CONTENT_TYPE);
     kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
 }
 
-/// Who is at the other end, for the HTTP side.
+/// Returns the client of a request, for the HTTP side.
 fn visitor<B>(request: &Request<B>) -> (Visitor, Option<Peer>) {
     let peer = request.extensions().get::<Peer>().cloned();
     let certificate = peer.as_ref().and_then(|peer| peer.certificate.clone());
@@ -168,7 +169,7 @@ where
         let trail = request.extensions().get::<Trail>().cloned().unwrap_or_default();
         let guard = self.guard.clone();
         let (pace, patience) = (Pace::of(request.uri().path()), self.guard.gate.limits().patience);
-        // The one that is ready is used, and its copy waits for the next call.
+        // Use the service that is ready, and leave a copy for the next call.
         let next = self.inner.clone();
         let mut inner = std::mem::replace(&mut self.inner, next);
         Box::pin(async move {

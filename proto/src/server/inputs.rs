@@ -1,4 +1,4 @@
-//! What a job needs of the store, seen to before the scheduler hears of it.
+//! Checks the store for a job's inputs before the job reaches the scheduler.
 
 use femc_model::{Digest, Manifest, Refusal};
 use femc_service::store_refusal;
@@ -6,12 +6,12 @@ use femc_store::{Store, StoreError};
 
 use super::promised::Promised;
 
-/// The artifacts that hold a scene, besides the one that names it.
+/// Returns the artifacts that hold a scene, without its manifest.
 pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refusal> {
     let missing = |digest: &Digest| Refusal::MissingArtifacts { digests: vec![*digest], count: 1 };
     let size = store.size(bundle).await.map_err(|error| store_refusal(&error))?.ok_or_else(|| missing(bundle))?;
     if size > Manifest::MOST {
-        // One of the bundles of earlier versions, which may be that large.
+        // A bundle of an earlier version, which may be that large.
         return Ok(Vec::new());
     }
     let bytes = store.get(bundle).await.map_err(|error| match error {
@@ -27,7 +27,7 @@ pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>
     Ok(manifest.pieces.iter().map(|piece| piece.artifact.digest).collect())
 }
 
-/// Refuses a job whose scene is not whole. What is found stays for a while.
+/// Refuses a job whose scene is incomplete. The scene's artifacts are protected from collection for a while.
 pub(super) async fn check(store: &Store, promised: &Promised, bundle: &Digest) -> Result<(), Refusal> {
     promised.note(&[*bundle]).await;
     let pieces = pieces(store, bundle).await?;

@@ -17,7 +17,7 @@ use crate::error::to_status;
 use crate::wire;
 use wire::attempts_reply::Part;
 
-/// Between two looks at whether somebody who watches still counts.
+/// Interval between checks whether a watching caller is revoked.
 const LOOKS: Duration = Duration::from_secs(1);
 
 type Answer<T> = Result<Response<T>, Status>;
@@ -31,7 +31,7 @@ impl wire::jobs_server::Jobs for Server {
         let mut spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
         trail.what(&format!("{} frames of {}", spec.frames.len(), spec.name));
         if let Some(caller) = caller {
-            // Nobody spends another's share.
+            // The owner is the caller, so that nobody uses another owner's share.
             spec.owner = caller.holder.name().to_owned();
         }
         inputs::check(&self.store, &self.promised, &spec.bundle).await.map_err(|no| to_status(&no))?;
@@ -135,7 +135,7 @@ impl wire::jobs_server::Jobs for Server {
     }
 }
 
-/// Waits until the caller counts no more.
+/// Waits until the caller is revoked.
 async fn revoked(caller: Option<&Caller>) -> Status {
     let Some(caller) = caller else { return std::future::pending().await };
     while caller.still_counts() {
@@ -144,7 +144,7 @@ async fn revoked(caller: Option<&Caller>) -> Status {
     to_status(&caller.revoked())
 }
 
-/// Sends what a job is made of and its attempts, page by page, as fast as the listener reads.
+/// Sends a job's shape and its attempts page by page, as fast as the client reads.
 async fn pages(server: Server, job: JobId, shape: JobShape, send: mpsc::Sender<Result<wire::AttemptsReply, Status>>) {
     let mut part = Part::Job(shape.into());
     let mut from = Some(0);
@@ -159,14 +159,14 @@ async fn pages(server: Server, job: JobId, shape: JobShape, send: mpsc::Sender<R
                 part = Part::Attempts(wire::AttemptRecords { attempts });
                 from = page.next;
             }
-            // Who does not listen any more need not hear it.
+            // If the client is gone, the error is not needed.
             Err(status) => return drop(send.send(Err(status)).await),
         }
     }
 }
 
-/// Sends the newest status whenever there is one; a slow listener misses the ones between, never the last. Who counts no more
-/// sees no more.
+/// Sends the newest status whenever there is one. A slow client misses some in between, but never the last. A revoked caller gets
+/// no more.
 async fn forward(
     caller: Option<Arc<Caller>>,
     mut statuses: watch::Receiver<JobStatus>,

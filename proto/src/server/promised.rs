@@ -1,8 +1,8 @@
-//! What somebody was told is there, or is sending: it is not garbage for a while, whoever refers to it, because a
-//! submission or a result that names it may be on its way.
+//! Promised artifacts: a client was told that they are in the store, or is uploading them. They are not garbage for a while, even
+//! if nothing refers to them, because a submission or a result that names them may be on its way.
 //!
-//! Noting comes before looking, and garbage is removed while nobody notes: whoever notes an artifact and then finds it in
-//! the store will find it there later.
+//! A caller notes an artifact before it looks into the store, and garbage is not removed while artifacts are being noted. So an
+//! artifact that was noted and then found will still be there later.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,13 +12,13 @@ use femc_model::Digest;
 use tokio::sync::{RwLock, RwLockWriteGuard};
 use tokio::time::Instant;
 
-/// Digests by when they were last noted; clones share them.
+/// Digests with the time of their last promise. Clones share them.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Promised(Arc<Inner>);
 
 #[derive(Debug, Default)]
 struct Inner {
-    /// Held for reading while digests are noted, for writing while garbage is removed.
+    /// Lock held for reading while digests are noted, and for writing while garbage is removed.
     gate: RwLock<()>,
     noted: Mutex<Noted>,
 }
@@ -26,22 +26,22 @@ struct Inner {
 #[derive(Debug, Default)]
 struct Noted {
     times: BTreeMap<Digest, Instant>,
-    /// When there were too many to remember.
+    /// Time when there were too many promises to remember.
     overflow: Option<Instant>,
 }
 
 impl Promised {
-    /// How long a promise holds.
+    /// Duration of a promise.
     pub(super) const HOLDS: Duration = Duration::from_secs(3600);
-    /// Most promises that are remembered: some 100 MB.
+    /// Largest number of promises to remember: about 100 MB.
     const MOST: usize = 1 << 20;
 
     fn lock(&self) -> MutexGuard<'_, Noted> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A panic within the few lines under this lock leaves the state consistent.
         self.0.noted.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Notes `digests`; waits while garbage is being removed. Look into the store only afterwards.
+    /// Notes `digests`. Waits while garbage is being removed. Look into the store only afterwards.
     pub(super) async fn note(&self, digests: &[Digest]) {
         let _open = self.0.gate.read().await;
         self.note_at(digests, Instant::now(), Self::MOST);
@@ -59,22 +59,22 @@ impl Promised {
         }
     }
 
-    /// What is new needs no promise; so a farm that makes a lot of artifacts has few of them.
+    /// Drops the promise of a new artifact, which its age protects. So a farm that makes many artifacts needs few promises.
     pub(super) fn forget(&self, digest: &Digest) {
         self.lock().times.remove(digest);
     }
 
-    /// Until dropped, nothing is noted.
+    /// Blocks notes until the returned guard is dropped.
     pub(super) async fn close(&self) -> RwLockWriteGuard<'_, ()> {
         self.0.gate.write().await
     }
 
-    /// Whether the digest was noted within `grace`.
+    /// Checks that the digest was noted within `grace`.
     pub(super) fn holds(&self, digest: &Digest, grace: Duration) -> bool {
         self.lock().times.get(digest).is_some_and(|time| time.elapsed() < grace.min(Self::HOLDS))
     }
 
-    /// How long it takes until promises that were forgotten hold no longer.
+    /// Returns the remaining time of promises that were lost in an overflow; `None` if there are none.
     pub(super) fn is_blind_for(&self) -> Option<Duration> {
         self.lock().overflow.and_then(|since| Self::HOLDS.checked_sub(since.elapsed()))
     }

@@ -1,4 +1,4 @@
-//! Requests that come in time.
+//! Timeouts for request bodies.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -10,19 +10,19 @@ use tokio::time::{Instant, Sleep};
 use tonic::Status;
 use tonic::body::Body;
 
-/// How a request must come.
+/// Timeout rule for a request's body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Pace {
-    /// All of it within the time.
+    /// The whole body must arrive within the time.
     Whole,
-    /// Something of it within each such time.
+    /// Some part of the body must arrive within each such period.
     Steady,
-    /// As it likes: a session has its own times.
+    /// No timeout: a session has its own.
     Free,
 }
 
 impl Pace {
-    /// Of a call by its path.
+    /// Returns the rule of a call by its path.
     pub(super) fn of(path: &str) -> Self {
         match path {
             "/femc.v1.Workers/Session" => Self::Free,
@@ -31,7 +31,7 @@ impl Pace {
         }
     }
 
-    /// The same body, which fails if it is late.
+    /// Wraps a body so that it fails if it is late.
     pub(super) fn hold(self, body: Body, patience: Duration) -> Body {
         match self {
             Self::Free => body,

@@ -1,7 +1,7 @@
-//! Encryption of the connections that come in.
+//! Encryption of incoming connections.
 //!
-//! The handshakes are done here and not by tonic, which would offer HTTP/2 alone: programs that speak HTTP/1.1 over TLS are refused
-//! by its list of protocols.
+//! This module does the handshakes instead of tonic. tonic would offer HTTP/2 alone, and its protocol list refuses programs that
+//! speak HTTP/1.1 over TLS.
 
 use std::io;
 use std::pin::Pin;
@@ -19,15 +19,15 @@ use tonic::transport::server::Connected;
 use super::door::{Admitted, Peer};
 use crate::net::Io;
 
-/// A connection that was let in, encrypted if the coordinator has an identity.
+/// An admitted connection; encrypted if the coordinator has an identity.
 pub(super) enum Connection<C> {
     Plain(Admitted<C>),
     Encrypted(Box<TlsStream<Admitted<C>>>),
 }
 
-/// The connections, each after its handshake. A handshake that fails ends its own connection alone; one that lasts is ended by the
-/// deadline of [`Admitted`]. Handshakes that are not done are dropped with the stream.
-/// - `config`: `None` leaves connections as they are.
+/// Returns the connections, each after its handshake. A failed handshake ends only its own connection. The deadline of [`Admitted`]
+/// ends a handshake that takes too long. Unfinished handshakes are dropped with the stream.
+/// - `config`: TLS settings; `None` leaves connections unencrypted.
 pub(super) fn secured<C: Io + Connected>(
     incoming: impl Stream<Item = io::Result<Admitted<C>>>,
     config: Option<Arc<ServerConfig>>,
@@ -56,7 +56,7 @@ pub(super) fn secured<C: Io + Connected>(
     })
 }
 
-/// Whether more connections may come in.
+/// State of the stream of incoming connections.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Open {
     Yes,

@@ -1,4 +1,4 @@
-//! What calls there were, how long they took to answer, and how much went through the store.
+//! Metrics of the calls: their number, their latency, and the bytes transferred from and to the store.
 
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -16,24 +16,24 @@ use tower::{Layer, Service};
 
 use crate::wire;
 
-/// Counts the traffic of a server; clones share it.
+/// Counters of a server's traffic. Clones share them.
 #[derive(Debug, Clone)]
 pub struct Traffic {
-    /// Calls, by their path and the status with which their answer began.
+    /// Number of calls, by path and by the status at the start of the answer.
     pub calls: Tally<(String, &'static str)>,
-    /// Until the answer began, by the path of the call.
+    /// Time until the answer began, by path of the call.
     pub latencies: Arc<BTreeMap<String, Histogram>>,
-    /// Requests over HTTP, by the name of their operation and the status of the answer.
+    /// Number of HTTP requests, by name of the operation and status of the answer.
     pub requests: Tally<(&'static str, u16)>,
-    /// Until the answer to a request over HTTP began, by the name of its operation.
+    /// Time until the answer to an HTTP request began, by name of the operation.
     pub request_latencies: Arc<BTreeMap<&'static str, Histogram>>,
-    /// Bytes of artifacts that came in.
+    /// Artifact bytes received.
     pub received: Counter,
-    /// Bytes of artifacts that went out.
+    /// Artifact bytes sent.
     pub sent: Counter,
 }
 
-/// The path of what is none of this program's calls: anybody can make up as many as he likes.
+/// Path that stands for all unknown calls, because clients can invent any number of paths.
 const OTHER: &str = "other";
 
 impl Default for Traffic {
@@ -70,7 +70,7 @@ impl Traffic {
     }
 }
 
-/// The calls of the protocol, such as `/femc.v1.Jobs/List`.
+/// Returns the paths of the protocol's calls, such as `/femc.v1.Jobs/List`.
 fn paths() -> Vec<String> {
     let set = prost_types::FileDescriptorSet::decode(wire::DESCRIPTORS).unwrap_or_default();
     let mut paths = Vec::new();
@@ -85,7 +85,7 @@ fn paths() -> Vec<String> {
     paths
 }
 
-/// As gRPC writes it.
+/// Returns the code's name in gRPC.
 fn name(code: Code) -> &'static str {
     match code {
         Code::Ok => "OK",

@@ -1,10 +1,11 @@
-//! Uploads under way, and those that were cut: these are kept for a while, so that they can go on where they were.
+//! Uploads in progress, and interrupted uploads, which are kept for a while so that they can resume.
 //!
-//! By digest, whoever sends: what comes in is checked against the digest at the end. An upload belongs to one sender at a
-//! time, as a value, so that no two can mix their bytes; one that is cut lies here until somebody takes it, with the right
-//! offset. Who comes with the same artifact meanwhile waits for the first to finish, and sends nothing then. The first may be
-//! slow, or stand still: after a while who waits gets an upload of its own, as long as there are few of the same artifact.
-//! Whichever is whole first is kept, and the others hear at their next piece that it is there.
+//! Uploads are keyed by digest, whoever sends them: the received bytes are checked against the digest at the end. An upload is a
+//! value that belongs to one sender at a time, so senders cannot mix their bytes. An interrupted upload stays here until a sender
+//! resumes it at the right offset. Another sender of the same artifact waits for the first one to finish, and then sends nothing.
+//! The first sender may be slow or stuck. So after a while, a waiting sender gets an upload of its own, as long as there are few
+//! uploads of that artifact. The first complete upload is kept, and the other senders learn with their next piece that the artifact
+//! is in the store.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -16,31 +17,31 @@ use femc_store::{Novelty, Soundness, Store, Upload};
 use tokio::sync::Notify;
 use tokio::time::Instant;
 
-/// Uploads under way by digest; clones share them.
+/// Uploads in progress, by digest. Clones share them.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Uploads(Arc<Inner>);
 
 #[derive(Debug, Default)]
 struct Inner {
     state: Mutex<State>,
-    /// An upload has ended, or was cut. Who waits is woken in the order in which all came.
+    /// Signaled when an upload ends or is interrupted. Waiting senders wake in the order of their arrival.
     ended: Notify,
 }
 
 #[derive(Debug, Default)]
 struct State {
     entries: BTreeMap<Digest, Entry>,
-    /// Uploads that were cut so far: their order.
+    /// Number of interrupted uploads so far; gives their order.
     cuts: u64,
 }
 
 #[derive(Debug, Default)]
 struct Entry {
-    /// How many send it now.
+    /// Number of current senders.
     senders: usize,
-    /// One of them has finished: it is in the store.
+    /// The finished artifact, if one of the senders has finished: it is in the store.
     kept: Option<Artifact>,
-    /// What was cut, and waits for somebody who goes on with it.
+    /// An interrupted upload that a sender can resume.
     parked: Option<Parked>,
 }
 
@@ -51,45 +52,45 @@ struct Parked {
     number: u64,
 }
 
-/// What somebody who begins at 0 knows.
+/// Knowledge of a sender that begins at offset 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Start {
-    /// Of what was parked when it was told where to begin.
+    /// It knows the upload parked here, because it was told where to begin.
     Fresh,
-    /// Not of what was parked while it waited.
+    /// It does not know an upload that was parked while it waited.
     Waited,
 }
 
-/// What becomes of somebody who wants to send.
+/// Answer to a client that wants to send.
 #[derive(Debug)]
 pub(super) enum Turn {
-    /// It need not: the artifact is there.
+    /// The artifact is in the store already.
     There(Artifact),
-    /// It sends.
+    /// The client may send.
     Sends(Box<Sending>),
 }
 
 impl Uploads {
-    /// Cut uploads that are kept; each has up to a part of bytes in memory (8 MiB), the rest is on the medium.
+    /// Number of interrupted uploads to keep. Each has up to one part (8 MiB) in memory; the rest is on the storage medium.
     const KEPT: usize = 8;
-    /// How long they are kept.
+    /// Time for which interrupted uploads are kept.
     const KEEP: Duration = Duration::from_secs(600);
-    /// How long somebody waits for another who sends the same.
+    /// Time that a sender waits for another sender of the same artifact.
     const WAIT: Duration = Duration::from_secs(5);
-    /// Most uploads of one artifact at a time: its bytes may be on the medium so many times. Who comes then waits for as long as it
-    /// takes.
+    /// Largest number of uploads of one artifact at a time. The storage medium may hold its bytes this many times. Further senders
+    /// wait without a time limit.
     const SIDE_BY_SIDE: usize = 3;
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic within the few lines under this lock leaves nothing half done.
+        // A panic within the few lines under this lock leaves the state consistent.
         self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until fewer than `most` send the artifact.
+    /// Waits until fewer than `most` clients send the artifact.
     async fn room(&self, digest: &Digest, most: usize) {
         let is_crowded = || self.lock().entries.get(digest).is_some_and(|entry| entry.senders >= most);
         loop {
-            // It hears of what ends after this.
+            // Subscribe before the check, so that no end is missed.
             let ended = self.0.ended.notified();
             if !is_crowded() {
                 return;
@@ -98,18 +99,19 @@ impl Uploads {
         }
     }
 
-    /// The first byte that is wanted of an artifact; waits a while for whoever sends it now. Ask the store afterwards whether it
-    /// is there.
+    /// Returns the offset of the first byte wanted of an artifact. Waits a while for a current sender. Ask the store afterwards
+    /// whether it has the artifact.
     pub(super) async fn offered(&self, digest: &Digest) -> u64 {
-        // After that it is as many as it takes: who sends then waits again.
+        // A timeout is no error: a client that then sends waits again.
         let _ = tokio::time::timeout(Self::WAIT, self.room(digest, 1)).await;
         let state = self.lock();
         let parked = state.entries.get(digest).and_then(|entry| entry.parked.as_ref());
         parked.map_or(0, |cut| cut.upload.size())
     }
 
-    /// Begins an upload, or goes on with one that has `offset` bytes. From 0 on it begins anew, unless what it waited for was cut
-    /// and can be gone on with: that is not thrown away for somebody who did not know of it, and may be gone.
+    /// Begins an upload, or resumes one that has `offset` bytes. Offset 0 begins a new upload and discards an interrupted one. The
+    /// exception is an upload that was interrupted while this sender waited: it is kept, because this sender did not know of it and
+    /// may be gone itself.
     pub(super) async fn take(&self, store: &Store, digest: Digest, offset: u64) -> Result<Turn, Refusal> {
         self.tidy(Instant::now());
         let (mut most, mut start) = (1, Start::Fresh);
@@ -130,7 +132,7 @@ impl Uploads {
         }
     }
 
-    /// `None`: there are `most` who send it already.
+    /// Admits a sender; `None` if `most` clients send the artifact already.
     fn admit(
         &self,
         store: &Store,
@@ -158,12 +160,12 @@ impl Uploads {
             }
         };
         entry.senders += 1;
-        // What was kept is not there any more.
+        // The artifact that was kept is no longer in the store.
         entry.kept = None;
         Some(Ok(Sending { uploads: self.clone(), digest, upload: Some(upload) }))
     }
 
-    /// Forgets what was cut too long ago, and the oldest beyond the number that is kept.
+    /// Drops interrupted uploads that are too old, and the oldest ones beyond the limit.
     fn tidy(&self, now: Instant) {
         let mut state = self.lock();
         let parked = state.entries.iter().filter_map(|(digest, entry)| Some((entry.parked.as_ref()?, *digest)));
@@ -183,14 +185,14 @@ impl Uploads {
 }
 
 impl State {
-    /// Forgets an entry of which nothing is left.
+    /// Removes an entry that has neither senders nor an interrupted upload.
     fn tidy(&mut self, digest: &Digest) {
         if self.entries.get(digest).is_some_and(|entry| entry.senders == 0 && entry.parked.is_none()) {
             self.entries.remove(digest);
         }
     }
 
-    /// Keeps what was cut: of two the one that is further. The other, for which there is no use.
+    /// Keeps an interrupted upload. If there are two, keeps the longer one and returns the other.
     fn park(&mut self, digest: Digest, upload: Upload) -> Option<Upload> {
         self.cuts += 1;
         let cut = Parked { upload, since: Instant::now(), number: self.cuts };
@@ -204,34 +206,35 @@ impl State {
     }
 }
 
-/// Takes back what lies on the medium, unless everything is ending.
+/// Removes an upload's data from the storage medium, unless the runtime is shutting down.
 fn abandon(upload: Upload) {
     if let Ok(runtime) = tokio::runtime::Handle::try_current() {
         runtime.spawn(upload.abandon());
     }
 }
 
-/// A sender's upload. Dropped before the end, it leaves what has come for the next one.
+/// A sender's upload. If it is dropped before the end, the received bytes are kept for the next sender.
 #[derive(Debug)]
 pub(super) struct Sending {
     uploads: Uploads,
     digest: Digest,
-    /// `None`: it is of no use any more, or in the midst of something that may break off.
+    /// The upload; `None` if it has ended, or while an operation that may be cancelled is running.
     upload: Option<Upload>,
 }
 
 impl Sending {
-    /// What another has kept meanwhile.
+    /// Returns the artifact if another sender has finished it meanwhile.
     fn kept(&self) -> Option<Artifact> {
         self.uploads.lock().entries.get(&self.digest)?.kept
     }
 
-    /// Takes the next piece; `Some`: the artifact is there, by somebody else. After a refusal what has come is forgotten.
+    /// Writes the next piece. Returns the artifact if another sender has finished it. After a refusal the received bytes are
+    /// dropped.
     pub(super) async fn write(&mut self, piece: &[u8]) -> Result<Option<Artifact>, Refusal> {
         if let Some(kept) = self.kept() {
             return Ok(Some(kept));
         }
-        // Should this be dropped in the midst of it, nobody knows what of the piece was taken.
+        // If this future is dropped during the write, the state of the upload is unknown, so it must not be kept.
         let Some(mut upload) = self.upload.take() else { return Err(Self::over()) };
         match upload.write(piece).await {
             Ok(()) => self.upload = Some(upload),
@@ -243,7 +246,7 @@ impl Sending {
         Ok(None)
     }
 
-    /// Keeps the artifact, if it is the one that was announced.
+    /// Finishes the upload and keeps the artifact if its digest is the announced one.
     pub(super) async fn finish(mut self) -> Result<(Artifact, Novelty), Refusal> {
         if let Some(kept) = self.kept() {
             return Ok((kept, Novelty::Older));
@@ -271,7 +274,7 @@ impl Drop for Sending {
             Some(upload) if kept.is_none() && upload.size() > 0 => state.park(self.digest, upload),
             other => other,
         };
-        // Those who go on hear of it from the store: what is parked was cut before it was kept.
+        // Once the artifact is kept, an interrupted upload is useless: senders that resume learn from the store that it is there.
         let parked = match state.entries.get_mut(&self.digest) {
             Some(entry) if kept.is_some() => entry.parked.take().map(|cut| cut.upload),
             _ => None,
@@ -388,7 +391,7 @@ mod tests {
         let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
         let mut first = sends(&uploads, &store, digest, 0).await;
         first.write(b"abcde").await.unwrap();
-        // Its sender may be gone when its turn comes.
+        // This sender may be gone when its turn comes.
         let waits = tokio::spawn({
             let (uploads, store) = (uploads.clone(), store.clone());
             async move { uploads.take(&store, digest, 0).await }
@@ -409,7 +412,7 @@ mod tests {
         let mut slow = Vec::new();
         for expected in [Duration::ZERO, Uploads::WAIT, 2 * Uploads::WAIT] {
             let mut sending = sends(&uploads, &store, digest, 0).await;
-            // No two share a byte.
+            // No two uploads share a byte.
             sending.write(b"abc").await.unwrap();
             slow.push(sending);
             assert_eq!(begun.elapsed().as_secs(), expected.as_secs());

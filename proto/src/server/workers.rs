@@ -15,10 +15,10 @@ use super::{Call, Server, Session, WorkerMessages, trail};
 use crate::many::together;
 use crate::wire;
 
-/// Messages that may wait for a slow worker before its session is ended.
+/// Number of messages that may wait for a slow worker before its session is ended.
 const WAITING: usize = 1024;
 
-/// How long a new session may be silent.
+/// Time limit for the first message of a new session.
 const INTRODUCTION: Duration = Duration::from_secs(10);
 
 #[tonic::async_trait]

@@ -1,4 +1,4 @@
-//! A client before servers that lie, and how long it is patient.
+//! Tests of a client with lying servers, and of its retry time.
 
 use std::io;
 use std::pin::Pin;
@@ -14,25 +14,26 @@ use wire::artifacts_server::{Artifacts, ArtifactsServer};
 
 type Replies = Pin<Box<dyn Stream<Item = Result<wire::GetReply, Status>> + Send>>;
 
-/// A server that says what a test wants, whatever it is asked.
+/// A server with scripted answers.
 #[derive(Default)]
 struct Liar {
-    /// Replies to one request for bytes after the other: pieces, and whether the transfer is cut then. The last one is repeated.
+    /// Scripted replies to download requests, in order: pieces, and the code with which the transfer is cut. The last reply is
+    /// repeated.
     gives: Vec<(Vec<Bytes>, Option<Code>)>,
-    /// From which byte on it wants what is offered; `None`: it is there.
+    /// Answer to an offer: the first byte wanted; `None`: the artifact is in the store.
     wants: Option<u64>,
-    /// What it says that it has kept.
+    /// Answer to an upload: the artifact kept.
     kept: Option<Artifact>,
     missing: Vec<Digest>,
     heard: Mutex<Heard>,
 }
 
-/// What it was asked, and what it was sent.
+/// Requests and uploads that the server received.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct Heard {
-    /// First byte wanted and size expected, of each request for bytes.
+    /// First byte wanted and size expected, for each download request.
     got: Vec<(u64, Option<u64>)>,
-    /// First byte and bytes of each upload.
+    /// First byte and bytes, for each upload.
     put: Vec<(u64, Vec<u8>)>,
 }
 
@@ -79,7 +80,7 @@ impl Artifacts for Arc<Liar> {
     }
 }
 
-/// A client of a server in this process.
+/// Returns a client of a server in this process.
 async fn client(server: impl Artifacts) -> Client {
     let (send, connections) = tokio::sync::mpsc::unbounded_channel();
     let server = ArtifactsServer::new(server);
@@ -93,7 +94,7 @@ async fn client(server: impl Artifacts) -> Client {
     Client::connect_by(&dial, "http://farm:1").await.unwrap()
 }
 
-/// A client of a server that gives just these pieces.
+/// Returns a client of a server that sends exactly these pieces.
 async fn given(pieces: &[&'static [u8]]) -> Client {
     let pieces = pieces.iter().copied().map(Bytes::from_static).collect();
     client(Arc::new(Liar { gives: vec![(pieces, None)], ..Liar::default() })).await
@@ -144,7 +145,7 @@ async fn bytes_of_another_size_than_what_is_known_are_refused_although_their_nam
         let heard = liar.heard.lock().unwrap().clone();
         assert_eq!(heard.got, [(0, Some(known))], "it is asked once: what is damaged stays so");
     }
-    // Of nothing, too.
+    // An empty artifact, too.
     let nothing = Artifact::of(b"");
     assert_eq!(given(&[]).await.get_exactly(&nothing).await.unwrap(), "");
     let outcome = given(&[]).await.get_exactly(&Artifact { bytes: 1, ..nothing }).await;
@@ -153,7 +154,7 @@ async fn bytes_of_another_size_than_what_is_known_are_refused_although_their_nam
 
 #[tokio::test(start_paused = true)]
 async fn no_more_is_taken_in_than_the_limit_however_much_comes() {
-    /// It gives a piece after the other for as long as somebody reads.
+    /// A server that sends pieces for as long as the client reads.
     struct Endless;
 
     #[tonic::async_trait]
@@ -244,7 +245,7 @@ async fn what_is_sent_are_the_bytes_from_where_the_server_wants_them_and_all_whe
     let has_it = Arc::new(Liar::default());
     assert_eq!(client(has_it.clone()).await.put(TRUE.into()).await.unwrap(), artifact);
     assert_eq!(*has_it.heard.lock().unwrap(), Heard::default());
-    // More than a piece, and not a multiple of one.
+    // The artifact is longer than two pieces and not a multiple of a piece.
     let large: Bytes = (0..2 * PIECE + 3).map(|at| (at / 251) as u8).collect();
     let liar = Arc::new(Liar { wants: Some(5), kept: Some(Artifact::of(&large)), ..Liar::default() });
     client(liar.clone()).await.put(large.clone()).await.unwrap();
@@ -265,7 +266,7 @@ async fn a_long_transfer_that_is_cut_goes_on_and_what_gets_nowhere_ends() {
     let mut patience = Patience::new(Direction::Up);
     for reached in 1..=3 {
         patience.reached(reached);
-        // It was well under way for a minute before it was cut.
+        // The transfer works for a minute before it is cut.
         tokio::time::sleep(Duration::from_secs(60)).await;
         patience.after(cut()).await.unwrap();
     }
@@ -280,7 +281,7 @@ async fn an_upload_that_another_gets_on_with_is_not_given_up() {
     let mut patience = Patience::new(Direction::Up);
     for offset in 1..=3 {
         patience.after(resume(offset)).await.unwrap();
-        // It waited for the other, who was cut again.
+        // The client waited for the other sender, which was cut again.
         tokio::time::sleep(Patience::LONGEST).await;
     }
     patience.after(resume(3)).await.expect_err("nobody gets on");

@@ -1,4 +1,4 @@
-//! The elements of `femc/v1/femc.proto`, as its descriptor has them.
+//! The elements of `femc/v1/femc.proto`, read from its descriptor.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,7 +8,7 @@ use prost_types::{
     DescriptorProto, EnumDescriptorProto, FieldDescriptorProto, FileDescriptorProto, ServiceDescriptorProto,
 };
 
-/// The file, with its comments.
+/// Returns the descriptor of the file, with comments.
 pub fn file() -> FileDescriptorProto {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut all = protox::compile(["femc/v1/femc.proto"], [here]).expect("it compiles");
@@ -16,17 +16,17 @@ pub fn file() -> FileDescriptorProto {
     all.file.remove(0)
 }
 
-/// What an element is.
+/// Kind of an element.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Kind {
     Service,
-    /// Types of request and reply, `stream` where there are several.
+    /// A call: types of request and reply, with `stream` for streams.
     Call {
         request: String,
         reply: String,
     },
     Message,
-    /// Number, type, and how it is there: `optional`, `repeated`, of which `oneof`.
+    /// A field: number, type, and label: `optional`, `repeated`, or its `oneof`.
     Field {
         number: i32,
         form: String,
@@ -38,23 +38,23 @@ pub enum Kind {
     },
 }
 
-/// Something that has a name.
+/// A named element.
 #[derive(Debug)]
 pub struct Element {
-    /// Without the package: `JobSpec.name`.
+    /// Name without the package: `JobSpec.name`.
     pub name: String,
     pub kind: Kind,
-    /// Before it in the file; empty: there is none.
+    /// Comment before the element; empty if there is none.
     pub comment: String,
 }
 
 impl Element {
-    /// Its own name.
+    /// Returns the last part of the name.
     pub fn last(&self) -> &str {
         self.name.rsplit('.').next().unwrap_or(&self.name)
     }
 
-    /// A line that changes when old clients would be misled.
+    /// Returns a line that changes whenever the element changes incompatibly for old clients.
     pub fn line(&self) -> String {
         let name = &self.name;
         match &self.kind {
@@ -69,7 +69,7 @@ impl Element {
     }
 }
 
-/// Everything that has a name, in the order of the descriptor.
+/// Returns all named elements in the order of the descriptor.
 pub fn elements(file: &FileDescriptorProto) -> Vec<Element> {
     let mut walk = Walk { comments: comments(file), found: Vec::new() };
     for (at, service) in (0..).zip(&file.service) {
@@ -84,7 +84,7 @@ pub fn elements(file: &FileDescriptorProto) -> Vec<Element> {
     walk.found
 }
 
-/// Comments by the path of what they stand before: field numbers and indices of the descriptor.
+/// Returns the comments by the path of their element: field numbers and indices of the descriptor.
 fn comments(file: &FileDescriptorProto) -> BTreeMap<Vec<i32>, String> {
     let places = file.source_code_info.iter().flat_map(|info| &info.location);
     places.map(|place| (place.path.clone(), place.leading_comments().trim().to_owned())).collect()
@@ -121,7 +121,7 @@ impl Walk {
             self.found(name, Kind::Field { number, form }, &[path, &[2, at]].concat());
         }
         for (at, oneof) in (0..).zip(&message.oneof_decl) {
-            // Of an `optional` field the compiler makes one that is not in the file.
+            // The compiler adds a oneof for each `optional` field that is not in the file.
             if !oneof.name().starts_with('_') {
                 self.found(format!("{name}.{}", oneof.name()), Kind::Oneof, &[path, &[8, at]].concat());
             }
@@ -158,7 +158,7 @@ fn form(message: &DescriptorProto, field: &FieldDescriptorProto) -> String {
     }
 }
 
-/// `JobSpec` of `.femc.v1.JobSpec`.
+/// Shortens `.femc.v1.JobSpec` to `JobSpec`.
 fn short(name: &str) -> &str {
     name.trim_start_matches(".femc.v1.")
 }

@@ -1,4 +1,4 @@
-//! `femc/v1/femc.proto` as a public interface: documented, by the rules, and compatible with what it was.
+//! Tests of `femc/v1/femc.proto` as a public interface: it is documented, follows the rules, and stays compatible.
 
 mod elements;
 mod rules;

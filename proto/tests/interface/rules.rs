@@ -1,20 +1,20 @@
-//! The interface is documented element by element, and keeps the rules of buf's categories STANDARD and COMMENTS
-//! (`proto/lint` runs buf itself, where it can be had), but for those exceptions.
+//! Tests that every element of the interface is documented and follows the rules of buf's categories STANDARD and COMMENTS, with
+//! the exceptions below. (`proto/lint` runs buf itself if it is available.)
 
 use crate::elements::{Element, Kind, elements, file};
 
-/// buf wants services to end in `Service`: a service's name is part of every call's path on the wire.
+/// Exception to buf's rule that a service name ends in `Service`: the name is part of every call's path on the wire.
 const SERVICES: [&str; 3] = ["Jobs", "Workers", "Artifacts"];
 
-/// buf wants `XRequest` and `XResponse` for a call `X`, each used once: the messages of a session are words of both sides,
-/// and a job's status is the same message wherever it is told.
+/// Exception to buf's rule that a call `X` uses `XRequest` and `XResponse`, each only once: both sides of a session share its
+/// messages, and several calls return a job's status.
 const OTHERWISE_NAMED: [&str; 3] = ["Jobs.Status", "Jobs.Watch", "Workers.Session"];
 
 fn all() -> Vec<Element> {
     elements(&file())
 }
 
-/// The names of those for which `rule` does not hold.
+/// Returns the names of the elements that violate `rule`.
 fn breaking(mut rule: impl FnMut(&Element) -> bool) -> Vec<String> {
     all().into_iter().filter(|element| !rule(element)).map(|element| element.name).collect()
 }
@@ -31,7 +31,7 @@ fn is_snake(name: &str) -> bool {
         && !name.ends_with('_')
 }
 
-/// `JOB_STATE` of `JobState`.
+/// Converts `JobState` to `JOB_STATE`.
 fn screaming(name: &str) -> String {
     let mut out = String::new();
     for c in name.chars() {

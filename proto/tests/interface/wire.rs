@@ -1,10 +1,10 @@
-//! What is on the wire stays: `wire.txt` lists every call, field and value with its number and type.
+//! Tests that the wire format stays compatible: `wire.txt` lists every call, field and value with its number and type.
 
 use crate::elements::{Element, Kind, elements, file};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Set it to write the list anew, after something was added.
+/// Environment variable that makes the test rewrite the list, after an addition.
 const WRITE: &str = "FEMC_WRITE_WIRE";
 
 #[test]

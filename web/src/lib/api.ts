@@ -5,10 +5,10 @@ import { decodePixels, type Pixels } from './pixels';
 
 const BASE = '/api/v1';
 const FRAME_WINDOW = 10_000;
-/** Most jobs of a request that the coordinator takes. */
+/** Largest number of jobs that the coordinator accepts in one request. */
 export const MOST_JOBS = 1000;
 
-/** What the coordinator answered instead, or that it did not answer (`status` 0). */
+/** An error answer of the coordinator, or no answer (`status` 0). */
 export class ApiError extends Error {
   constructor(
     readonly status: number,
@@ -20,13 +20,13 @@ export class ApiError extends Error {
   }
 }
 
-/** An error for people: the message, and what helps. */
+/** Describes an error for people: the message, and what to do. */
 export function explain(error: unknown): string {
   if (error instanceof ApiError) return error.help ? `${error.message} (${error.help})` : error.message;
   return error instanceof Error ? error.message : String(error);
 }
 
-/** Reads the error out of an answer that is none of success. */
+/** Reads the error from an unsuccessful answer. */
 export async function failure(answer: Response): Promise<ApiError> {
   const text = await answer.text().catch(() => '');
   try {
@@ -77,11 +77,11 @@ export interface TaskFilter {
   frame?: string | null;
   stage?: string | null;
   state?: string | null;
-  /** A field of tasks, with `-` before it for the greatest first. */
+  /** Field of tasks to sort by; a leading `-` puts the greatest first. */
   sort?: string | null;
 }
 
-/** The pixels, or null as long as there are none; `etag` tells whether they have changed. */
+/** The pixels, or null until there are some. `etag` changes when they change. */
 export interface PixelAnswer {
   pixels: Pixels | null;
   etag: string | null;
@@ -90,7 +90,7 @@ export interface PixelAnswer {
 export const api = {
   me: (signal?: AbortSignal) => get<Me>('/me', signal),
   job: (job: number, signal?: AbortSignal) => get<{ job: Job; spec: Spec }>(`/jobs/${job}`, signal),
-  /** All frames of a job; they come in windows. */
+  /** Returns all frames of a job. They are requested in windows. */
   async frames(job: number, signal?: AbortSignal): Promise<Frame[]> {
     const all: Frame[] = [];
     for (;;) {
@@ -100,13 +100,13 @@ export const api = {
       if (frames.length < FRAME_WINDOW || all.length >= total) return all;
     }
   },
-  /** A window of tasks; `filter.sort` orders all of them, not the window alone. */
+  /** Returns a window of tasks. `filter.sort` orders all tasks, not only the window. */
   tasks: (job: number, from: number, count: number, filter: TaskFilter, signal?: AbortSignal) =>
     get<TaskWindow>(`/jobs/${job}/tasks${query({ from, count, ...filter })}`, signal),
-  /** A page of the attempts that have ended, from a cursor on: of the job, or of a task. */
+  /** Returns a page of the ended attempts of the job, or of a task, from a cursor on. */
   attempts: (job: number, from: number | null, task: string | null, signal?: AbortSignal) =>
     get<{ attempts: Attempt[]; next: number | null }>(`/jobs/${job}/attempts${query({ from, task })}`, signal),
-  /** The message of a task that has failed for good; `null` of any other. */
+  /** Returns the message of a task that has failed for good; `null` for any other task. */
   failure: async (job: number, task: string, signal?: AbortSignal): Promise<string | null> => {
     const named = /^[^/]+\/(\d+)\.\d+\/[^/.]+\.?(\d*)\//.exec(task);
     const filter = { frame: Number(named?.[1] ?? 0), state: 'failed', ...(named?.[2] ? { stage: Number(named[2]) } : {}) };
@@ -118,10 +118,7 @@ export const api = {
   thumbnail: (job: number, frame: number, version: string, height = 90) =>
     `${BASE}/jobs/${job}/frames/${frame}/thumbnail.png${query({ height, v: version })}`,
 
-  /**
-   * The pixels of a frame, or what its light statistics know of each, unless they still are those of `etag` (then
-   * `undefined`).
-   */
+  /** Returns the pixels of a frame, or its light statistics for each pixel; `undefined` if `etag` still matches. */
   async pixels(
     job: number,
     frame: number,
@@ -143,18 +140,18 @@ export const api = {
     return { pixels: decodePixels(await answer.arrayBuffer()), etag: answer.headers.get('ETag') };
   },
 
-  /** The media type of a file. */
+  /** Returns the media type of a file. */
   async fileType(address: string, signal?: AbortSignal): Promise<string> {
     const answer = await ask(address, { method: 'HEAD', signal: signal ?? null });
     return answer.headers.get('Content-Type') ?? 'application/octet-stream';
   },
-  /** True if a file is sound: the coordinator reads all of it before it sends the first byte. */
+  /** Returns true if a file is undamaged: the coordinator reads all of it before it sends the first byte. */
   async checkFile(address: string): Promise<true> {
     await ask(address, { headers: { Range: 'bytes=0-0' }, cache: 'no-store' });
     return true;
   },
 
-  /** Steers jobs, in as many requests as they need: after one that fails, the others are not sent. */
+  /** Controls jobs, in as many requests as they need. After a failed request, the rest is not sent. */
   async control(jobs: number[], action: JobAction, more: { priority?: number; frames?: number[] } = {}) {
     const all: Done<number> = { done: [], refused: [] };
     for (let at = 0; at < jobs.length; at += MOST_JOBS) {
@@ -177,7 +174,7 @@ export const api = {
   audit: async (count: number, signal?: AbortSignal) =>
     (await get<{ lines: AuditLine[] }>(`/audit${query({ count })}`, signal)).lines,
 
-  /** Trades a token for the cookie. */
+  /** Exchanges a token for the cookie. */
   async login(token: string): Promise<void> {
     await ask('/login', {
       method: 'POST',

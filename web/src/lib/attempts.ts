@@ -1,17 +1,16 @@
-/** Attempts of a job, as they are read. */
+/** Collects the attempts of a job while they are read. */
 
 import type { Attempt } from './types';
 
 /**
- * Attempts that were read in pages, each once: a later row of the same task and epoch takes the place of an earlier
- * one. Where
- * the last page was, the next reading begins.
+ * Attempts read in pages, each once: a later row with the same task and epoch replaces an earlier one. The next read
+ * begins at the last page.
  */
 export class Attempts {
   private readonly seen = new Map<string, Attempt>();
   cursor: number | null = null;
 
-  /** Takes a page; whether another one may follow. */
+  /** Adds a page; returns whether another one may follow. */
   add(page: { attempts: readonly Attempt[]; next: number | null }): boolean {
     let fresh = 0;
     for (const attempt of page.attempts) {

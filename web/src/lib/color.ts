@@ -1,7 +1,6 @@
 /**
- * Colors: the palette of Okabe and Ito for what is told apart, viridis for what is measured, blue-white-red for
- * differences, and the
- * farm's own tone curve (engine/film/src/tone.rs) for pictures.
+ * Colors: the palette of Okabe and Ito for categories, viridis for measured values, blue-white-red for differences,
+ * and the farm's own tone curve (engine/film/src/tone.rs) for pictures.
  */
 
 /** Okabe and Ito, "Color Universal Design" (2008). */
@@ -18,8 +17,8 @@ export const OKABE_ITO = [
 
 export type Rgb = readonly [number, number, number];
 
-// Sixteen evenly spaced colors of viridis (matplotlib, CC0), the rest by linear interpolation: within 2/255 of the
-// original.
+// Sixteen evenly spaced colors of viridis (matplotlib, CC0). The colors between them are interpolated linearly,
+// within 2/255 of the original.
 const VIRIDIS_STOPS: readonly Rgb[] = [
   [68, 1, 84],
   [72, 26, 108],
@@ -39,7 +38,7 @@ const VIRIDIS_STOPS: readonly Rgb[] = [
   [253, 231, 37],
 ];
 
-// Symmetric about gray-white, lightness falls to both sides (after Brewer's RdBu; Apache 2.0).
+// Symmetric about gray-white; lightness falls toward both sides (after Brewer's RdBu; Apache 2.0).
 const DIVERGING_STOPS: readonly Rgb[] = [
   [5, 48, 97],
   [33, 102, 172],
@@ -62,15 +61,15 @@ function along(stops: readonly Rgb[], t: number): Rgb {
   return [a[0] + f * (b[0] - a[0]), a[1] + f * (b[1] - a[1]), a[2] + f * (b[2] - a[2])];
 }
 
-/** Viridis at `t` in 0..1, bytes; magenta for what is not a number. */
+/** Returns the viridis color at `t` in 0..1 in bytes; magenta for NaN. */
 export const viridis = (t: number): Rgb => along(VIRIDIS_STOPS, t);
 
-/** Blue (0) over white (0.5) to red (1), bytes; magenta for what is not a number. */
+/** Returns a color from blue (0) over white (0.5) to red (1) in bytes; magenta for NaN. */
 export const diverging = (t: number): Rgb => along(DIVERGING_STOPS, t);
 
 export const css = ([r, g, b]: Rgb): string => `rgb(${Math.round(r)} ${Math.round(g)} ${Math.round(b)})`;
 
-/** 256 colors as the 32-bit words of a canvas (little-endian RGBA). */
+/** Returns 256 colors as the 32-bit words of a canvas (little-endian RGBA). */
 export function lookup(map: (t: number) => Rgb): Uint32Array {
   return Uint32Array.from({ length: 256 }, (_, i) => {
     const [r, g, b] = map(i / 255);
@@ -78,22 +77,22 @@ export function lookup(map: (t: number) => Rgb): Uint32Array {
   });
 }
 
-/** Luminance, in units of 1 / exposure, that is shown as white. */
+/** Luminance that is shown as white, in units of 1 / exposure. */
 const WHITE = 8;
 const MIDDLE_GRAY = 0.18;
 const DARKEST = 1e-4;
 
-/** Rec.709 luminance of a linear color. */
+/** Returns the Rec.709 luminance of a linear color. */
 export const luminance = (r: number, g: number, b: number): number => 0.2126 * r + 0.7152 * g + 0.0722 * b;
 
-/** Transfer function of sRGB for `linear` in 0..1. */
+/** Applies the transfer function of sRGB to `linear` in 0..1. */
 export function srgb(linear: number): number {
   return linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055;
 }
 
 /**
- * The exposure, 1/(cd/m2), that brings the log-average luminance to middle gray: that of `femc render --preview`.
- * - `y`: luminances, cd/m2; those that are not finite or have no light do not count.
+ * Returns the exposure, 1/(cd/m2), that maps the log-average luminance to middle gray, as in `femc render --preview`.
+ * - `y`: luminances, cd/m2; those that are not finite or not positive do not count.
  */
 export function autoExposure(y: ArrayLike<number>): number {
   let [n, sum] = [0, 0];
@@ -117,16 +116,16 @@ export function autoExposure(y: ArrayLike<number>): number {
 const SRGB_STEPS = 4096;
 let srgbTable: Uint8Array | undefined;
 
-/** The sRGB byte of `linear`, by a table: within one step of the formula. */
+/** Returns the sRGB byte of `linear` from a table, within one step of the formula. */
 export function srgbByte(linear: number): number {
   if (!srgbTable) {
     srgbTable = new Uint8Array(SRGB_STEPS + 1);
-    // By the square root, so that dark values are as fine as the eye.
+    // The table is indexed by the square root, so that dark values have a resolution that suits the eye.
     for (let i = 0; i <= SRGB_STEPS; i++) srgbTable[i] = Math.round(255 * srgb((i / SRGB_STEPS) ** 2));
   }
   if (!(linear > 0)) return 0;
   return srgbTable[linear >= 1 ? SRGB_STEPS : Math.round(SRGB_STEPS * Math.sqrt(linear))]!;
 }
 
-/** The gain of the photographic operator at a luminance of `x`, in units of 1 / exposure. */
+/** Returns the gain of the photographic operator at luminance `x`, in units of 1 / exposure. */
 export const toneGain = (x: number): number => (x < 1e18 ? (1 + x / (WHITE * WHITE)) / (1 + x) : 1);

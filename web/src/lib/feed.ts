@@ -1,7 +1,6 @@
 /**
- * The feed of changes: server-sent events, read with `fetch` and not with `EventSource`, which hides the
- * coordinator's signs of life and
- * gives up for good after an answer that is an error.
+ * The feed of changes: server-sent events, read with `fetch`. `EventSource` would hide the coordinator's signs of
+ * life and give up for good after an error answer.
  */
 
 import { ApiError, failure } from './api';
@@ -9,11 +8,11 @@ import type { Job, OfflineWorker, Worker } from './types';
 
 /** The farm as this page knows it. */
 export interface FarmState {
-  /** Where the next connection goes on. */
+  /** Position from which the next connection continues. */
   seq: string | null;
   jobs: ReadonlyMap<number, Job>;
   workers: ReadonlyMap<number, Worker>;
-  /** Those that were there, the latest first. */
+  /** Former workers, the latest first. */
   offline: readonly OfflineWorker[];
   warnings: readonly string[];
 }
@@ -32,7 +31,7 @@ export interface Delta {
   gone_jobs?: number[];
   workers?: Worker[];
   gone_workers?: number[];
-  /** Null: as before. */
+  /** Null: unchanged. */
   offline?: OfflineWorker[] | null;
   warnings?: string[] | null;
 }
@@ -49,7 +48,7 @@ export function fromSnapshot(snapshot: Snapshot): FarmState {
   };
 }
 
-/** The state after a delta; the state before stays as it is. Maps without a change are the same objects. */
+/** Returns the state after a delta and leaves the old state unchanged. Unchanged maps are the same objects. */
 export function join(state: FarmState, delta: Delta): FarmState {
   return {
     seq: delta.seq,
@@ -79,7 +78,7 @@ export interface FeedEvent {
   data: string;
 }
 
-/** Server-sent events out of pieces of text (WHATWG HTML, 9.2.6); comments are dropped. */
+/** Parser of server-sent events from pieces of text (WHATWG HTML, 9.2.6). Comments are dropped. */
 export class EventParser {
   private rest = '';
   private id: string | null = null;
@@ -109,7 +108,7 @@ export class EventParser {
   }
 }
 
-/** How the connection is. `denied`: the coordinator wants to know who asks. */
+/** State of the connection. `denied`: the coordinator requires a login. */
 export type Connection =
   | { state: 'connecting' }
   | { state: 'live' }
@@ -122,7 +121,7 @@ export interface Watcher {
   connection(connection: Connection): void;
 }
 
-/** Without a sign of life for so long, a connection counts as lost; the coordinator gives one every ten seconds. */
+/** Silence after which a connection counts as lost. The coordinator sends a sign of life every ten seconds. */
 export const SILENCE_MS = 25_000;
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 5_000;
@@ -138,11 +137,11 @@ export class Feed {
     private readonly watcher: Watcher,
     private readonly request: typeof fetch = (...args) => fetch(...args),
     private readonly now: () => number = Date.now,
-    /** What is known already: the first connection asks for the changes since then. */
+    /** Known state; the first connection asks for the changes since then. */
     private state: FarmState = EMPTY,
   ) {}
 
-  /** Connects, and connects again; returns when stopped or denied. */
+  /** Connects and reconnects; returns when stopped or denied. */
   async run(): Promise<void> {
     let failures = 0;
     while (!this.stopped) {
@@ -174,7 +173,7 @@ export class Feed {
     }
   }
 
-  /** Tries again at once. */
+  /** Retries at once. */
   again(): void {
     this.hurry?.();
   }

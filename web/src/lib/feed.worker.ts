@@ -1,4 +1,4 @@
-/** The shared worker that holds the feed of all pages of a browser. */
+/** The shared worker that holds the feed for all pages of a browser. */
 
 import { Hub, type Port } from './hub';
 

@@ -1,16 +1,16 @@
-/** Files of a job, at the addresses of docs/http.md. */
+/** Files of a job, at the URLs of docs/http.md. */
 
 import type { Frame, Output } from './types';
 
 export interface FileLink {
   label: string;
-  /** What the file is, in a few words. */
+  /** Short description of the file. */
   title: string;
   href: string;
   bytes: number;
 }
 
-/** Roles of the files of a frame: label, last part of the address, and what they are. */
+/** Roles of the files of a frame: label, last part of the URL, and description. */
 const FRAME_FILES: readonly [role: string, label: string, path: string, title: string][] = [
   ['image', 'EXR', 'image.exr', 'the image, linear'],
   ['preview', 'PNG', 'preview.png', 'the image under its own exposure'],
@@ -20,19 +20,19 @@ const FRAME_FILES: readonly [role: string, label: string, path: string, title: s
   ['statistics', 'Statistics', 'statistics.paths', 'light statistics, for femc paths'],
 ];
 
-/** The address of a file. A player that is given `digest` loads the file again after it has changed. */
+/** Returns the URL of a file. With `digest` in the URL, a player reloads the file after it has changed. */
 export const fileAddress = (job: number, path: string, digest?: string): string =>
   `/api/v1/jobs/${job}/${path}${digest ? `?v=${digest.slice(0, 12)}` : ''}`;
 
-/** The output of a role that a frame has, or that the whole job has for it. */
+/** Returns a frame's output of a role, or the whole job's output for this frame. */
 function outputOf(role: string, frame: Frame, place: number, whole: Frame | null): Output | undefined {
-  // The whole job lists these in the order of frames.
+  // The whole job lists these outputs in the order of frames.
   if (role === 'still' || role === 'painted') return whole?.outputs.filter((output) => output.role === role)[place];
   return frame.outputs.find((output) => output.role === role);
 }
 
 /**
- * The files of a frame that are finished.
+ * Returns the finished files of a frame.
  * - `frames`: all frames of the job, ascending.
  * - `whole`: results of the whole job.
  */
@@ -48,7 +48,7 @@ export function frameFiles(job: number, number: number, frames: readonly Frame[]
   });
 }
 
-/** The files of the whole job that are finished. */
+/** Returns the finished files of the whole job. */
 export function jobFiles(job: number, whole: Frame | null): FileLink[] {
   const files: [string, string, string, string][] = [
     ['clip', 'Clip', 'clip', 'all frames as a clip'],

@@ -1,4 +1,4 @@
-/** Numbers for people, in the words of the command line (cli/src/output/human.rs). */
+/** Formats numbers for people, with the words of the command line (cli/src/output/human.rs). */
 
 /** `0.42 s`, `12.3 s`, `3 min 20 s`, `2 h 5 min`, `3 d 4 h`. */
 export function seconds(s: number | null | undefined): string {
@@ -11,15 +11,15 @@ export function seconds(s: number | null | undefined): string {
   return `${Math.floor(whole / 86400)} d ${Math.floor((whole % 86400) / 3600)} h`;
 }
 
-/** How long ago a date was, in Unix seconds; `now` is in milliseconds. */
+/** Formats the time since a date in Unix seconds; `now` is in milliseconds. */
 export const ago = (date: number | null, now: number): string =>
   date == null ? '–' : seconds(Math.max(0, Math.round(now / 1000 - date)));
 
-/** A date in Unix seconds, in the words of the browser's language; nothing where it is not known. */
+/** Formats a date in Unix seconds in the browser's language; `undefined` if it is unknown. */
 export const date = (unix: number | null): string | undefined =>
   unix == null ? undefined : new Date(1000 * unix).toLocaleString();
 
-/** `999`, `12.3 k`, `4.56 M`, `7.89 G`: three digits that count. */
+/** `999`, `12.3 k`, `4.56 M`, `7.89 G`: three significant digits. */
 export function quantity(n: number | null | undefined): string {
   if (n == null || !Number.isFinite(n)) return '–';
   const size = Math.abs(n);
@@ -35,7 +35,7 @@ export function bytes(n: number | null | undefined): string {
   return `${three(scaled)} ${unit}`;
 }
 
-/** A share of one as `7.1 %`. */
+/** Formats a fraction of one as `7.1 %`. */
 export function percent(share: number | null | undefined): string {
   if (share == null || !Number.isFinite(share)) return '–';
   const value = 100 * share;
@@ -44,20 +44,20 @@ export function percent(share: number | null | undefined): string {
   return `${text} %`;
 }
 
-/** What was measured of a frame. */
+/** Measurements of a frame. */
 interface Measured {
   relative_error: number | null;
   blocks?: number | null;
   unlit_blocks?: number | null;
 }
 
-/** The error of a frame, short: `7.1 %`, or `unlit` where no sample met light. */
+/** Formats the error of a frame briefly: `7.1 %`, or `unlit` if no sample found light. */
 export function shortError({ relative_error, blocks, unlit_blocks }: Measured): string {
   if (blocks && unlit_blocks === blocks) return 'unlit';
   return percent(relative_error);
 }
 
-/** The error of a frame: `7.1 %, 2 of 4 blocks met no light`. */
+/** Formats the error of a frame: `7.1 %, 2 of 4 blocks met no light`. */
 export function frameError(frame: Measured): string {
   const { blocks, unlit_blocks } = frame;
   if (!blocks || !unlit_blocks) return percent(frame.relative_error);
@@ -65,7 +65,7 @@ export function frameError(frame: Measured): string {
   return `${percent(frame.relative_error)}, ${unlit_blocks} of ${blocks} blocks met no light`;
 }
 
-/** What was measured of a job: the error of its worst frame. */
+/** Measurements of a job: the error of its worst frame. */
 interface MeasuredJob extends Measured {
   frames: number;
   worst_frame?: number | null;
@@ -73,14 +73,14 @@ interface MeasuredJob extends Measured {
   above_target?: string | null;
 }
 
-/** Why the error of a frame may be above the target. */
+/** Reasons why the error of a frame may be above the target. */
 const ABOVE: Record<string, string> = {
   rendering: 'still rendering',
   sample_limit: 'the frame has all samples that a frame may take',
   estimate: 'it stopped by an estimate, which may miss the target by a little',
 };
 
-/** The error of a job: `7.1 % in frame 3, above the target of 5.0 %: still rendering`. */
+/** Formats the error of a job: `7.1 % in frame 3, above the target of 5.0 %: still rendering`. */
 export function jobError(job: MeasuredJob): string {
   const place = job.worst_frame && job.frames > 1 ? ` in frame ${job.worst_frame}` : '';
   const measured = `${frameError(job)}${place}`;
@@ -96,7 +96,7 @@ export function count(n: number, noun: string): string {
   return `${n.toLocaleString('en-US')} ${noun}${n === 1 ? '' : 's'}`;
 }
 
-/** A physical value in about four digits: `0`, `0.01234`, `12.34`, `1.234e6`. */
+/** Formats a physical value with about four digits: `0`, `0.01234`, `12.34`, `1.234e6`. */
 export function value(x: number): string {
   if (Number.isNaN(x)) return 'not a number';
   if (!Number.isFinite(x)) return x > 0 ? '∞' : '-∞';
@@ -114,7 +114,7 @@ function three(n: number): string {
   return n.toFixed(size < 10 ? 2 : size < 100 ? 1 : 0);
 }
 
-/** Frame numbers as people write them: `1..4, 7, 9..10`. */
+/** Formats frame numbers as ranges: `1..4, 7, 9..10`. */
 export function ranges(numbers: Iterable<number>): string {
   const sorted = [...numbers].sort((a, b) => a - b);
   const parts: string[] = [];

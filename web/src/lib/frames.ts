@@ -1,4 +1,4 @@
-/** Measures of frames: by which they are colored, drawn and sorted. */
+/** Measures of frames, for coloring, charts and sorting. */
 
 import { percent, seconds } from './format';
 import type { Frame } from './types';
@@ -11,7 +11,7 @@ export interface Measure {
   format: (value: number | null) => string;
 }
 
-/** Times of a frame; the first is that of the frame alone, whatever else the farm does. */
+/** Times of a frame. The first one depends on the frame alone, not on the farm's other work. */
 export const TIMES: readonly Measure[] = [
   {
     key: 'processor',
@@ -55,7 +55,7 @@ export const MEASURES: readonly Measure[] = [
   },
 ];
 
-/** The frame whose attempts took the most processor time. */
+/** Returns the frame whose attempts took the most processor time. */
 export function slowest(frames: readonly Frame[]): Frame | null {
   let most: Frame | null = null;
   for (const frame of frames) {

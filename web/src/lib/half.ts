@@ -3,7 +3,7 @@
 const LENGTH = 1 << 16;
 let table: Float32Array | undefined;
 
-/** The number that these 16 bits stand for. */
+/** Decodes the 16 bits of a half float. */
 export function decodeHalf(bits: number): number {
   const sign = bits & 0x8000 ? -1 : 1;
   const exponent = (bits >> 10) & 0x1f;
@@ -13,7 +13,7 @@ export function decodeHalf(bits: number): number {
   return sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
 }
 
-/** All 65,536 of them by their bits: a look into this table is several times as fast as [`decodeHalf`]. */
+/** Returns all 65,536 values by their bits. A lookup in this table is several times as fast as [`decodeHalf`]. */
 export function halves(): Float32Array {
   if (!table) {
     table = new Float32Array(LENGTH);

@@ -1,26 +1,27 @@
 /**
- * One feed for all pages of a browser. Over plain HTTP a browser has six connections to a coordinator, so a feed for
- * each page would leave none for the seventh.
+ * One feed for all pages of a browser. Over plain HTTP a browser opens at most six connections to a coordinator, so
+ * one feed per page would leave none for the seventh page.
  *
- * The hub runs in a shared worker ([`feed.worker.ts`]), where no page owns it; a browser without shared workers has one
- * in each page. It holds a connection while at least one page is visible. A page is a port: it says when it is visible,
- * hidden or gone, and gives a sign of life while it is visible, since the end of a page that crashed is not reported.
+ * The hub runs in a shared worker ([`feed.worker.ts`]), which no page owns. A browser without shared workers has one
+ * hub in each page. The hub stays connected while at least one page is visible. A page is a port: it reports when it
+ * is visible, hidden or gone. While visible, it also sends signs of life, because the browser does not report the end
+ * of a crashed page.
  */
 
 import { EMPTY, Feed, type Connection, type Delta, type FarmState } from './feed';
 
-/** From a page to the hub. */
+/** Message from a page to the hub. */
 export type PageMessage =
-  /** The page is visible, and knows the farm up to `seq`. Repeated as a sign of life. */
+  /** The page is visible and knows the farm up to `seq`. Repeated as a sign of life. */
   | { kind: 'visible'; seq: string | null }
   | { kind: 'hidden' }
   | { kind: 'gone' }
   /** Try to connect now. */
   | { kind: 'again' }
-  /** Connect anew, since the user has signed in or out. */
+  /** Reconnect, because the user has signed in or out. */
   | { kind: 'restart' };
 
-/** From the hub to a page. */
+/** Message from the hub to a page. */
 export type HubMessage =
   | { kind: 'alive' }
   | { kind: 'connection'; connection: Connection }
@@ -28,14 +29,14 @@ export type HubMessage =
   /** Changes of the state with the number `since`. */
   | { kind: 'delta'; since: string | null; delta: Delta };
 
-/** Time between two signs of life of a visible page. */
+/** Interval between signs of life of a visible page. */
 export const SIGN_MS = 5_000;
-/** A visible page that is silent for longer than this counts as gone; timers of some pages run late. */
+/** Silence after which a visible page counts as gone. The timers of some pages run late. */
 export const SILENT_PAGE_MS = 90_000;
-/** Time for which the feed outlives the last visible page: a change from one tab to another needs no new connection. */
+/** Time for which the feed outlives the last visible page, so that switching tabs needs no new connection. */
 export const GRACE_MS = 1_000;
 
-/** The end of a channel; a `MessagePort`, for tests without a browser. */
+/** One end of a channel: a `MessagePort`, or a substitute in tests without a browser. */
 export interface Port {
   postMessage(message: HubMessage): void;
   onmessage: ((event: MessageEvent<PageMessage>) => void) | null;
@@ -97,14 +98,14 @@ export class Hub {
   private show(port: Port, page: Page, seq: string | null) {
     if (page.isVisible) return port.postMessage({ kind: 'alive' });
     page.isVisible = true;
-    // A page that is new may have a cookie that the last refusal lacked.
+    // A new page may have a cookie that was missing at the last refusal.
     if (this.connection.state === 'denied') this.end();
     this.settle();
     if (this.state.seq !== null && this.state.seq !== seq) port.postMessage({ kind: 'state', state: this.state });
     port.postMessage({ kind: 'connection', connection: this.connection });
   }
 
-  /** Starts or ends the feed, as the pages want it. */
+  /** Starts or ends the feed, as the pages require. */
   private settle() {
     const isWanted = [...this.pages.values()].some((page) => page.isVisible);
     if (!isWanted) {
@@ -148,7 +149,7 @@ export class Hub {
     for (const [port, page] of this.pages) if (page.isVisible) port.postMessage(message);
   }
 
-  /** Drops pages that are silent. */
+  /** Drops silent pages. */
   private sweep() {
     const due = Date.now() - SILENT_PAGE_MS;
     for (const [port, page] of this.pages) if (page.isVisible && page.heard < due) this.pages.delete(port);

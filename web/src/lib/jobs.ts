@@ -1,4 +1,4 @@
-/** Which jobs are shown, in which order, under which headings. */
+/** Selection, order and grouping of the jobs on the page. */
 
 import { fraction, secondsLeft } from './progress';
 import type { Job } from './types';
@@ -18,7 +18,10 @@ export type SortKey =
   | 'rate'
   | 'error';
 
-/** Unix seconds. Jobs that were submitted to an older coordinator have the farm's clock alone, which stands still in outages. */
+/**
+ * Returns the submission date in Unix seconds. Jobs submitted to an older coordinator have only the farm's clock,
+ * which stands still during outages.
+ */
 export const submissionDate = (job: Job): number | null => job.submitted_date ?? job.submitted;
 
 const STATE_ORDER = ['running', 'queued', 'paused', 'failed', 'done', 'cancelled'];
@@ -40,8 +43,8 @@ const KEYS: Record<SortKey, (job: Job) => number | string> = {
 };
 
 /**
- * Whether a job fits a filter: all its words must. `owner:ann`, `state:failed`, `name:drive`, `label:shot=12`, a number of a
- * job, or a part of name, owner or comment; a word that begins with `-` must not fit.
+ * Checks whether a job matches all words of a filter: `owner:ann`, `state:failed`, `name:drive`, `label:shot=12`, the
+ * number of a job, or a part of name, owner or comment. A word that begins with `-` must not match.
  */
 export function matches(job: Job, filter: string): boolean {
   return filter
@@ -75,14 +78,14 @@ export interface Order {
   descending: boolean;
 }
 
-/** `-job` as an order; what is no key is the newest first. */
+/** Parses an order such as `-job`. An unknown key gives the newest first. */
 export function parseOrder(text: string | undefined): Order {
   const descending = text?.startsWith('-') ?? true;
   const key = (text ?? '-job').replace(/^-/, '');
   return key in KEYS ? { key: key as SortKey, descending } : { key: 'job', descending: true };
 }
 
-/** Sorted; equals by number. */
+/** Returns the jobs sorted; equal ones by number. */
 export function sorted(jobs: Iterable<Job>, { key, descending }: Order): Job[] {
   const of = KEYS[key];
   const sign = descending ? -1 : 1;
@@ -94,17 +97,17 @@ export function sorted(jobs: Iterable<Job>, { key, descending }: Order): Job[] {
 
 export type Grouping = 'none' | 'scene' | 'owner' | 'state';
 
-/** A heading, or a job under it. */
+/** A row of the table: a group heading, or a job. */
 export type Line = { kind: 'group'; key: string; jobs: Job[] } | { kind: 'job'; job: Job };
 
-/** What jobs of a group have in common. */
+/** Property that the jobs of a group share. */
 const GROUPS: Record<Exclude<Grouping, 'none'>, (job: Job) => string> = {
   scene: (job) => job.scene,
   owner: (job) => job.owner,
   state: (job) => job.state,
 };
 
-/** The lines of the table; groups stand where their first job would. */
+/** Returns the rows of the table. A group stands at the place of its first job. */
 export function lines(jobs: Job[], grouping: Grouping, closed: ReadonlySet<string>): Line[] {
   if (grouping === 'none') return jobs.map((job) => ({ kind: 'job', job }));
   const groups = new Map<string, Job[]>();

@@ -1,4 +1,4 @@
-/** Kinds of tasks (farm/model/src/kind.rs), in the order of the legend, and the color of each in the timeline. */
+/** Kinds of tasks (farm/model/src/kind.rs) in the order of the legend, and the color of each in the timeline. */
 
 import { OKABE_ITO } from './color';
 
@@ -27,10 +27,10 @@ const COLORS: Readonly<Record<string, string>> = {
   drill: OKABE_ITO[7],
 } satisfies Record<(typeof KINDS)[number], string>;
 
-/** Color of a kind; black for one that this page does not know. */
+/** Color of a kind; black for an unknown one. */
 export const kindColor = (kind: string): string => COLORS[kind] ?? '#000000';
 
-/** Kinds among those of tasks, in the order of the legend; those that this page does not know follow. */
+/** Returns the given kinds in the order of the legend; unknown ones come last. */
 export function legendOf(stages: Iterable<string>): string[] {
   const found = new Set(stages);
   const known = KINDS.filter((kind) => found.delete(kind));

@@ -1,4 +1,4 @@
-/** Pixels chosen by a closed line around them. */
+/** Selection of pixels by a closed line around them. */
 
 export interface Point {
   x: number;
@@ -7,7 +7,7 @@ export interface Point {
 
 const MOST_POINTS = 48;
 
-/** `10,20;30,20;30,40` as points; fewer than three are none. */
+/** Parses points such as `10,20;30,20;30,40`. Fewer than three points give an empty list. */
 export function parseLasso(text: string | undefined): Point[] {
   const points: Point[] = [];
   for (const part of (text ?? '').split(';').slice(0, 4 * MOST_POINTS)) {
@@ -19,7 +19,7 @@ export function parseLasso(text: string | undefined): Point[] {
 
 export const formatLasso = (points: readonly Point[]): string => points.map(({ x, y }) => `${x},${y}`).join(';');
 
-/** The line with fewer points, none of them further from it than needed (Douglas and Peucker, 1973). */
+/** Simplifies the line to at most `most` points with as little deviation as possible (Douglas and Peucker, 1973). */
 export function simplify(points: readonly Point[], most = MOST_POINTS): Point[] {
   let kept = [...points];
   for (let tolerance = 0.75; kept.length > most; tolerance *= 1.6) kept = reduce(points, tolerance);
@@ -43,7 +43,7 @@ function reduce(points: readonly Point[], tolerance: number): Point[] {
   return [...reduce(points.slice(0, at + 1), tolerance).slice(0, -1), ...reduce(points.slice(at), tolerance)];
 }
 
-/** Numbers of the pixels whose middles lie within the line (even-odd rule), row after row. */
+/** Returns the indices, row by row, of the pixels whose centers lie within the line (even-odd rule). */
 export function inside(points: readonly Point[], width: number, height: number): Uint32Array {
   const chosen: number[] = [];
   const low = Math.max(0, Math.floor(Math.min(...points.map((p) => p.y))));

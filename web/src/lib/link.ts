@@ -1,4 +1,4 @@
-/** Links within the pages: a click changes the view, a click with a modifier opens a tab as everywhere. */
+/** Links within the pages: a click changes the view; a click with a modifier opens a tab, as on any page. */
 
 import { parseAddress, parsePath } from './route';
 import { views } from './stores.svelte';

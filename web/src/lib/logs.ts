@@ -1,8 +1,10 @@
-/** Why a task has no log, for people. */
+/** Explains why a task has no log. */
 
 import type { Attempt } from './types';
 
-/** The reason why no log of a task is there, by its attempts that have ended; `null`: these are not known yet. */
+/**
+ * Returns the reason why a task has no log, derived from its ended attempts; `null`: the attempts are not known yet.
+ */
 export function noLog(attempts: readonly Attempt[] | null): string {
   if (!attempts) return 'Asking.';
   const has = (ending: string) => attempts.some((attempt) => attempt.ending === ending);

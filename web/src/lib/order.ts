@@ -1,19 +1,19 @@
-/** The order of a table: a column, and which end comes first. It stands in the address as `name` or `-name`. */
+/** Order of a table: a column and a direction. The URL has it as `name` or `-name`. */
 
 export interface Order {
   key: string;
   descending: boolean;
 }
 
-/** A text of the address as an order; a key that is none of these is no order. */
+/** Parses an order from the URL; null for a key that is not in `keys`. */
 export function parseOrder(text: string | null | undefined, keys: readonly string[]): Order | null {
   const key = (text ?? '').replace(/^-/, '');
   return text && keys.includes(key) ? { key, descending: text.startsWith('-') } : null;
 }
 
 /**
- * The next order when somebody chooses a column: numbers begin with the greatest, words with the first; the second time it is turned
- * round, and the third time there is none.
+ * Returns the next order when the user clicks a column. First click: numbers descending, words ascending. Second
+ * click: reversed. Third click: no order.
  */
 export function nextOrder(order: Order | null, key: string, number: boolean): string | null {
   if (order?.key !== key) return number ? `-${key}` : key;
@@ -21,13 +21,13 @@ export function nextOrder(order: Order | null, key: string, number: boolean): st
   return number ? key : `-${key}`;
 }
 
-/** What `aria-sort` says of a column. */
+/** Returns the `aria-sort` value of a column. */
 export const direction = (order: Order | null, key: string): 'ascending' | 'descending' | 'none' =>
   order?.key !== key ? 'none' : order.descending ? 'descending' : 'ascending';
 
 type Value = number | string | null | undefined;
 
-/** Sorted by a value; those without one come last in either direction, equal ones stay in their order. */
+/** Sorts by a value. Items without a value come last in either direction; equal ones keep their order. */
 export function sortedBy<T>(all: readonly T[], of: (one: T) => Value, descending: boolean): T[] {
   const sign = descending ? -1 : 1;
   return all.toSorted((a, b) => {

@@ -1,18 +1,18 @@
-/** From a frame's planes to what is shown of them. */
+/** Converts a frame's planes to displayable images. */
 
 import { autoExposure, diverging, lookup, luminance, srgbByte, toneGain, viridis } from './color';
 import { halves } from './half';
 import type { Pixels } from './pixels';
 import { place, spread, valueAt, type Scale } from './scale';
 
-/** What light statistics know of pixels. */
+/** Maps from light statistics, by pixel. */
 export const MAPS = ['deviation', 'depth', 'throughput'] as const;
 export type Mapped = (typeof MAPS)[number];
 export type Show = 'picture' | 'luminance' | 'pixel-error' | 'error' | 'samples' | Mapped | 'difference';
 
 export const isMapped = (show: Show): show is Mapped => (MAPS as readonly string[]).includes(show);
 
-/** What is measured: name, unit, channel. */
+/** Measured quantities: title, unit, channel. */
 export const MEASURES: Record<Exclude<Show, 'picture'>, { title: string; unit: string; channel: string }> = {
   luminance: { title: 'Luminance', unit: 'cd/m²', channel: 'Y' },
   'pixel-error': { title: 'Pixel error', unit: 'standard error of the pixel, relative', channel: 'standard_error' },
@@ -24,10 +24,10 @@ export const MEASURES: Record<Exclude<Show, 'picture'>, { title: string; unit: s
   difference: { title: 'Difference', unit: 'cd/m², other frame less this one', channel: 'Y' },
 };
 
-/** A color that means: there is no value. */
+/** Color for a missing value. */
 export const NO_VALUE = 0xff808080;
 
-/** Luminances of all pixels, cd/m2. */
+/** Returns the luminances of all pixels, cd/m2. */
 export function luminances(pixels: Pixels): Float32Array {
   const y = pixels.floats('Y');
   if (y) return y;
@@ -37,10 +37,10 @@ export function luminances(pixels: Pixels): Float32Array {
   );
 }
 
-/** The exposure that suits the picture, 1/(cd/m2). */
+/** Returns the automatic exposure of the picture, 1/(cd/m2). */
 export const suitableExposure = (pixels: Pixels): number => autoExposure(luminances(pixels));
 
-/** The picture through the farm's tone curve: 32-bit words of a canvas. */
+/** Applies the farm's tone curve to the picture; returns 32-bit words of a canvas. */
 export function develop(pixels: Pixels, exposure: number): Uint32Array<ArrayBuffer> {
   const out = new Uint32Array(pixels.width * pixels.height);
   const table = halves();
@@ -56,7 +56,7 @@ export function develop(pixels: Pixels, exposure: number): Uint32Array<ArrayBuff
   return out;
 }
 
-/** The other frame's luminance less this one's, pixel by pixel; null where the films differ. */
+/** Returns the other frame's luminance minus this one's for each pixel; null if the film sizes differ. */
 export function difference(a: Pixels, b: Pixels): Float32Array | null {
   if (a.width !== b.width || a.height !== b.height) return null;
   const [x, y] = [luminances(a), luminances(b)];
@@ -64,7 +64,7 @@ export function difference(a: Pixels, b: Pixels): Float32Array | null {
 }
 
 /**
- * Gaussian smoothing; values that are not finite are left out of the means, and stay.
+ * Smooths values with a Gaussian. Values that are not finite are left out of the means and stay unchanged.
  * - `sigma`: pixels; 0 changes nothing.
  */
 export function smooth(values: Float32Array, width: number, height: number, sigma: number): Float32Array {
@@ -109,11 +109,9 @@ export function smooth(values: Float32Array, width: number, height: number, sigm
   return out;
 }
 
-/**
- * The scale that suits values of a kind: a half percent at each end is cut off. Null where there is nothing to show.
- */
+/** Returns a scale for the values, cut off by half a percent at each end; null if there is no value. */
 export function suitableScale(show: Exclude<Show, 'picture'>, values: Float32Array): Scale | null {
-  // A few ten thousand values tell the ends well enough.
+  // A sample of some ten thousand values is enough to find the ends.
   const stride = Math.max(1, Math.floor(values.length / 50_000));
   const some = stride === 1 ? values : values.filter((_, i) => i % stride === 0);
   if (show === 'difference') {
@@ -125,7 +123,7 @@ export function suitableScale(show: Exclude<Show, 'picture'>, values: Float32Arr
   if (!ends) return null;
   if (show === 'samples') return { low: 0, high: Math.max(ends[1], 1), logarithmic: false };
   if (linear) return { low: ends[0], high: Math.max(ends[1], ends[0] * 1.01 + 1e-6), logarithmic: false };
-  // Six decades at most: what is darker is as good as black.
+  // Show at most six decades; darker values look black anyway.
   const high = ends[1];
   const low = Math.max(ends[0], high * 1e-6);
   return { low, high: high > low ? high : low * 1.01, logarithmic: true };
@@ -133,7 +131,7 @@ export function suitableScale(show: Exclude<Show, 'picture'>, values: Float32Arr
 
 const TABLES = { viridis: lookup(viridis), diverging: lookup(diverging) };
 
-/** Values in colors: 32-bit words of a canvas. */
+/** Maps values to colors; returns 32-bit words of a canvas. */
 export function paint(values: Float32Array, scale: Scale, colors: keyof typeof TABLES): Uint32Array<ArrayBuffer> {
   const table = TABLES[colors];
   const out = new Uint32Array(values.length);
@@ -152,8 +150,8 @@ export interface Summary {
 }
 
 /**
- * Mean and ends of the finite values.
- * - `chosen`: numbers of the pixels that count; without it all do.
+ * Returns mean, minimum and maximum of the finite values.
+ * - `chosen`: indices of the pixels that count; null: all pixels.
  */
 export function summarize(values: Float32Array, chosen: Uint32Array | null = null): Summary | null {
   let [n, sum, low, high] = [0, 0, Infinity, -Infinity];
@@ -169,7 +167,7 @@ export function summarize(values: Float32Array, chosen: Uint32Array | null = nul
   return n ? { pixels: n, mean: sum / n, low, high } : null;
 }
 
-/** How many values lie where: the middles of equal parts of a scale, and the pixels in each. */
+/** Returns a histogram: the centers of equal parts of a scale, and the number of pixels in each. */
 export function histogram(
   values: Float32Array,
   scale: Scale,

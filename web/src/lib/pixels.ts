@@ -1,13 +1,13 @@
-/** The pixels of a frame as the coordinator sends them (`application/vnd.femc.pixels`, version 1). */
+/** Decodes the pixels of a frame as the coordinator sends them (`application/vnd.femc.pixels`, version 1). */
 
 import { halves } from './half';
 
 export const MAGIC = 0x43584d46;
 const NOT_A_NUMBER = 0x7e00;
-/** Channels of which there may be no value. */
+/** Channels in which values may be missing. */
 const UNKNOWN = new Set(['error', 'standard_error', 'freedom', 'depth', 'throughput', 'deviation']);
 
-/** A frame's pixels: planes of half floats, row after row from the top left. */
+/** Pixels of a frame: planes of half floats, row by row from the top left. */
 export class Pixels {
   constructor(
     readonly width: number,
@@ -15,19 +15,19 @@ export class Pixels {
     readonly planes: ReadonlyMap<string, Uint16Array>,
   ) {}
 
-  /** Whether there is such a channel. */
+  /** Checks whether the channel exists. */
   has(channel: string): boolean {
     return this.planes.has(channel);
   }
 
-  /** The value of a channel at a pixel; NaN where there is none. */
+  /** Returns the value of a channel at a pixel; NaN if it is missing. */
   at(channel: string, x: number, y: number): number {
     const plane = this.planes.get(channel);
     if (!plane || x < 0 || y < 0 || x >= this.width || y >= this.height) return NaN;
     return halves()[plane[y * this.width + x]!]!;
   }
 
-  /** A channel as floats. */
+  /** Returns a channel as floats. */
   floats(channel: string): Float32Array | null {
     const plane = this.planes.get(channel);
     if (!plane) return null;
@@ -38,14 +38,12 @@ export class Pixels {
   }
 }
 
-/**
- * What is not known is sent as -1: it becomes no number. Bits of negative half floats have the highest bit.
- */
+/** Replaces missing values, which are sent as -1, by NaN. Negative half floats have the highest bit set. */
 function forget(plane: Uint16Array) {
   for (let i = 0; i < plane.length; i++) if (plane[i]! > 0x8000) plane[i] = NOT_A_NUMBER;
 }
 
-/** Reads what the coordinator sent; throws an `Error` that says what is wrong. */
+/** Decodes the coordinator's answer; throws an `Error` with a description if it is invalid. */
 export function decodePixels(buffer: ArrayBuffer): Pixels {
   const view = new DataView(buffer);
   let at = 0;
@@ -73,7 +71,7 @@ export function decodePixels(buffer: ArrayBuffer): Pixels {
   }
   const planes = new Map<string, Uint16Array>();
   for (const name of names) {
-    // Names may leave the planes at an odd address: they are copied.
+    // Copy the plane, because the names may leave it at an odd address.
     const plane = new Uint16Array(buffer.slice(at, at + size));
     if (UNKNOWN.has(name)) forget(plane);
     planes.set(name, plane);

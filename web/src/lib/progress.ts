@@ -1,11 +1,11 @@
-/** How far a job is. */
+/** Progress of a job. */
 
 import type { Job } from './types';
 
 export const hasEnded = (job: Job): boolean =>
   job.state === 'done' || job.state === 'failed' || job.state === 'cancelled';
 
-/** The part that is done, 0..1: finished frames, and of those in work the tiles of their rounds. */
+/** Returns the finished fraction, 0..1: finished frames and, for frames in progress, the tiles of their rounds. */
 export function fraction(job: Job): number {
   if (job.state === 'done') return 1;
   let inWork = 0;
@@ -19,7 +19,7 @@ export function fraction(job: Job): number {
   return Math.min((job.frames_done + Math.min(inWork, open)) / Math.max(job.frames, 1), 1);
 }
 
-/** Seconds left if it goes on as until now; null where nobody can tell. */
+/** Estimates the seconds left at the speed so far; null if unknown. */
 export function secondsLeft(job: Job): number | null {
   const done = fraction(job);
   if (job.state !== 'running' || job.workers === 0 || done < 0.005) return null;

@@ -1,7 +1,4 @@
-/**
- * Who may do what, as docs/security.md says. The coordinator decides; the pages only do not offer what it would
- * refuse.
- */
+/** Access rights, as in docs/security.md. The coordinator decides; the pages do not offer what it would refuse. */
 
 import type { Me, Role } from './types';
 
@@ -13,7 +10,7 @@ function atLeast(me: Me, role: Role): boolean {
   return me.role === null || ORDER.indexOf(me.role) >= ORDER.indexOf(role);
 }
 
-/** Why it is not allowed, or null where it is. */
+/** Returns the reason why an action is not allowed; null if it is. */
 export function refusal(me: Me | null, readOnly: boolean, right: Right): string | null {
   if (!me) return 'It is not known yet who you are.';
   if (right.kind === 'audit') return atLeast(me, 'admin') ? null : `You are ${me.role}; this takes an admin.`;

@@ -1,4 +1,4 @@
-/** Addresses of the pages: what is looked at, so that a link shows another person the same. */
+/** URLs of the pages. They hold the view, so that a link shows another person the same. */
 
 import { ranges } from './format';
 
@@ -13,7 +13,7 @@ export type Route =
   | { page: 'login' }
   | { page: 'unknown'; path: string };
 
-/** The page of a path. */
+/** Parses the path of a page. */
 export function parsePath(path: string): Route {
   const parts = path.split('/').filter(Boolean);
   const [first, second, third] = parts;
@@ -26,7 +26,7 @@ export function parsePath(path: string): Route {
   return { page: 'unknown', path };
 }
 
-/** The path of a page. */
+/** Returns the path of a page. */
 export function pathOf(route: Route): string {
   switch (route.page) {
     case 'jobs':
@@ -40,7 +40,7 @@ export function pathOf(route: Route): string {
   }
 }
 
-/** The values of an address, as text; a value that is null or empty is left out. */
+/** Values of a URL, as text. Null and empty values are left out. */
 export type Query = Readonly<Record<string, string>>;
 
 export function parseQuery(search: string): Query {
@@ -48,7 +48,7 @@ export function parseQuery(search: string): Query {
 }
 
 export function formatQuery(query: Query): string {
-  // Commas and slashes are legal in a query; escaped they are unreadable.
+  // Commas and slashes are legal in a query and are more readable without escapes.
   const text = new URLSearchParams(query)
     .toString()
     .replaceAll('%2C', ',')
@@ -58,10 +58,16 @@ export function formatQuery(query: Query): string {
   return text ? `?${text}` : '';
 }
 
-/** Longest value of a query: addresses of more than some kilobytes are refused on their way to the coordinator. */
+/**
+ * Largest length of a value in a query. URLs of more than a few kilobytes are rejected on their way to the
+ * coordinator.
+ */
 const LONGEST_VALUE = 1500;
 
-/** The end of an address, from `?` on: long values, such as thousands of jobs, are in its fragment, which is not sent. */
+/**
+ * Formats the end of a URL, from `?` on. Long values, such as thousands of jobs, go into its fragment, which is not
+ * sent.
+ */
 export function formatAddress(query: Query): string {
   const isLong = ([, value]: [string, string]) => value.length > LONGEST_VALUE;
   const all = Object.entries(query);
@@ -69,13 +75,13 @@ export function formatAddress(query: Query): string {
   return formatQuery(Object.fromEntries(short)) + formatQuery(Object.fromEntries(long)).replace('?', '#');
 }
 
-/** The values of an address. */
+/** Parses the values of a URL. */
 export const parseAddress = ({ search, hash }: { search: string; hash: string }): Query => ({
   ...parseQuery(search),
   ...parseQuery(hash.replace('#', '?')),
 });
 
-/** `query` with some values changed; null and the empty text remove one. */
+/** Returns `query` with some values changed; null and the empty text remove a value. */
 export function withValues(query: Query, values: Record<string, string | number | null | undefined>): Query {
   const next: Record<string, string> = { ...query };
   for (const [key, value] of Object.entries(values)) {
@@ -87,7 +93,7 @@ export function withValues(query: Query, values: Record<string, string | number 
 
 const MOST_NUMBERS = 1 << 20;
 
-/** Numbers of a text like `1..4,7`; what is no number is left out. */
+/** Parses numbers from a text like `1..4,7`; other parts are left out. */
 export function parseNumbers(text: string | undefined): number[] {
   const numbers: number[] = [];
   for (const part of (text ?? '').split(',')) {

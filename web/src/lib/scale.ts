@@ -1,4 +1,4 @@
-/** Scales of values: where a value lies in 0..1, and what to write beside it. */
+/** Scales of values: the position of a value in 0..1, and the labels beside it. */
 
 export interface Scale {
   low: number;
@@ -6,7 +6,7 @@ export interface Scale {
   logarithmic: boolean;
 }
 
-/** The place of a value, 0..1 within the scale; NaN of what has none. */
+/** Returns the position of a value in 0..1 within the scale; NaN for a value without a position. */
 export function place({ low, high, logarithmic }: Scale, value: number): number {
   if (logarithmic) {
     if (!(value > 0)) return value <= 0 ? -1 : NaN;
@@ -15,12 +15,12 @@ export function place({ low, high, logarithmic }: Scale, value: number): number 
   return high > low ? (value - low) / (high - low) : 0.5;
 }
 
-/** The value at a place. */
+/** Returns the value at a position. */
 export function valueAt({ low, high, logarithmic }: Scale, t: number): number {
   return logarithmic ? low * (high / low) ** t : low + t * (high - low);
 }
 
-/** Round values within the scale, five or so: 1, 2, 5 times powers of ten. */
+/** Returns about `wanted` round values within the scale: 1, 2, 5 times powers of ten. */
 export function ticks(scale: Scale, wanted = 5): number[] {
   const { low, high, logarithmic } = scale;
   if (!(high > low)) return [low];
@@ -45,7 +45,7 @@ export function ticks(scale: Scale, wanted = 5): number[] {
   return out;
 }
 
-/** The lowest and highest of finite values after a share of each end is cut off; null where there are none. */
+/** Returns the lowest and highest finite value after a share of each end is cut off; null if there is none. */
 export function spread(values: Iterable<number>, cut = 0, positive = false): [number, number] | null {
   const kept = Float64Array.from([...values].filter((v) => Number.isFinite(v) && (!positive || v > 0))).sort();
   if (kept.length === 0) return null;

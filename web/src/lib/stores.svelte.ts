@@ -1,4 +1,4 @@
-/** The pages' shared state: the farm, what is looked at, what is selected, and how this browser likes it. */
+/** State shared by the pages: the farm, the current view, the selection, and the browser's preferences. */
 
 import { api, ApiError, explain } from './api';
 import { EMPTY, type Connection, type FarmState } from './feed';
@@ -19,7 +19,7 @@ import {
 import { Subscription } from './subscription';
 import type { Me } from './types';
 
-/** The store of views: which page, with which settings. The address bar has the same, letter by letter. */
+/** Current view: the page and its settings. The address bar always shows the same. */
 class Views {
   route = $state.raw<Route>({ page: 'jobs' });
   query = $state.raw<Query>({});
@@ -38,7 +38,7 @@ class Views {
     this.query = parseAddress(location);
   }
 
-  /** Goes to a page; the way back is kept. */
+  /** Goes to a page and keeps the way back. */
   go(route: Route, query: Record<string, string | number | null> = {}) {
     if (this.timer !== undefined) this.write();
     this.query = withValues({}, query);
@@ -47,7 +47,7 @@ class Views {
     scrollTo(0, 0);
   }
 
-  /** The same job in another view; what is selected stays selected. */
+  /** Switches to another tab of the same job and keeps the selection. */
   tab(tab: JobTab, values: Record<string, string | number | null> = {}) {
     if (this.route.page !== 'job') return;
     const kept = Object.fromEntries(Object.entries(this.query).filter(([key]) => SELECTION_KEYS.has(key)));
@@ -55,8 +55,8 @@ class Views {
   }
 
   /**
-   * Changes settings of this page. The address follows a moment later: browsers take 200 changes of it in ten
-   * seconds.
+   * Changes settings of this page. The address bar follows a moment later, because browsers limit its changes to 200
+   * in ten seconds.
    */
   set(values: Record<string, string | number | null | undefined>) {
     this.query = withValues(this.query, values);
@@ -74,11 +74,11 @@ const SELECTION_KEYS = new Set(['jobs', 'frames', 'frame', 'task', 'pixel', 'las
 
 export const views = new Views();
 
-/** The one selection, shared by all views; kept in the address. */
+/** Selection shared by all views; kept in the URL. */
 class Selection {
   jobs = $derived(new Set(parseNumbers(views.query.jobs)));
   frames = $derived(new Set(parseNumbers(views.query.frames)));
-  /** The frame that is looked at. */
+  /** Current frame. */
   frame = $derived(/^\d+$/.test(views.query.frame ?? '') ? Number(views.query.frame) : null);
   task = $derived(views.query.task ?? null);
   pixel = $derived.by(() => {
@@ -86,7 +86,7 @@ class Selection {
     return match ? { x: Number(match[1]), y: Number(match[2]) } : null;
   });
 
-  /** A closed line around pixels; empty where there is none. */
+  /** Closed line around pixels; empty if there is none. */
   lasso = $derived(parseLasso(views.query.lasso));
 
   setJobs(jobs: Iterable<number>) {
@@ -111,12 +111,12 @@ class Selection {
 
 export const selection = new Selection();
 
-/** The farm, live. */
+/** Live state of the farm. */
 class Farm {
   state = $state.raw<FarmState>(EMPTY);
   connection = $state.raw<Connection>({ state: 'connecting' });
   me = $state.raw<Me | null>(null);
-  /** Whether a snapshot has come. */
+  /** Whether a snapshot has arrived. */
   known = $derived(this.state.seq !== null);
   private readonly feed = new Subscription({
     farm: (state) => (this.state = state),
@@ -124,24 +124,24 @@ class Farm {
       const before = this.connection.state;
       this.connection = connection;
       if (connection.state === 'denied') this.denied();
-      // After a restart the coordinator may be another version, and ask other things.
+      // After a restart, the coordinator may have another version and other login rules.
       else if (connection.state === 'live' && before !== 'live') void this.identify();
     },
   });
 
-  /** Asks who we are, and follows the feed. */
+  /** Starts following the feed. The user's identity is requested when the feed is live. */
   start() {
     this.feed.start();
   }
 
-  /** Connects anew after the user has signed in or out. */
+  /** Reconnects after the user has signed in or out. */
   restart() {
     this.connection = { state: 'connecting' };
     this.state = EMPTY;
     this.feed.restart();
   }
 
-  /** Connects again at once, where the connection is lost. */
+  /** Reconnects at once if the connection is lost. */
   again() {
     this.feed.again();
   }
@@ -167,7 +167,7 @@ class Farm {
 
 export const farm = new Farm();
 
-/** How this browser likes it. */
+/** Preferences of this browser. */
 class Preferences {
   theme = $state<'auto' | 'light' | 'dark'>('auto');
   readOnly = $state(false);
@@ -202,7 +202,7 @@ class Preferences {
 
 export const preferences = new Preferences();
 
-/** Why the user may not do this, or null. */
+/** Returns the reason why the user may not do this, or null. */
 export const may = (right: Right): string | null => refusal(farm.me, preferences.readOnly, right);
 
 export interface Notice {
@@ -211,7 +211,7 @@ export interface Notice {
   text: string;
 }
 
-/** Short messages about what the user did. */
+/** Short messages about the user's actions. */
 class Notices {
   list = $state.raw<readonly Notice[]>([]);
   private next = 0;
@@ -224,7 +224,7 @@ class Notices {
   drop(id: number) {
     this.list = this.list.filter((notice) => notice.id !== id);
   }
-  /** Runs what the user asked for, and tells of its failure. */
+  /** Runs a user's action and reports its failure. */
   async attempt<T>(what: () => Promise<T>): Promise<T | null> {
     try {
       return await what();
@@ -237,7 +237,7 @@ class Notices {
 
 export const notices = new Notices();
 
-/** What is asked of the coordinator again and again; the latest answer stays until the next one. */
+/** A repeated request to the coordinator. The latest answer stays until the next one. */
 export class Resource<T> {
   value = $state.raw<T | null>(null);
   error = $state.raw<string | null>(null);
@@ -250,7 +250,7 @@ export class Resource<T> {
     private readonly pauseMs = 1000,
   ) {}
 
-  /** Asks, at most once in the pause; a request while another is out is made after it. */
+  /** Sends the request, at most once per pause. If another one is running, it is sent after that one. */
   refresh() {
     if (this.running) {
       this.again = true;
@@ -281,7 +281,7 @@ export class Resource<T> {
       });
   }
 
-  /** Forgets the answer and what is under way. */
+  /** Drops the answer and cancels the running request. */
   stop() {
     this.abort?.abort();
     this.running = false;

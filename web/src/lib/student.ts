@@ -1,10 +1,11 @@
-/** Intervals of Student's distribution, as engine/film/src/convergence.rs has them. */
+/** Confidence intervals from Student's distribution, as in engine/film/src/convergence.rs. */
 
 const Z = 1.959963984540054;
 
 /**
- * The 97.5 % quantile: half the width of a 95 % interval, in standard errors. For 1 and 2 degrees of freedom it has a
- * closed form; from 3 on it is the expansion about the normal one (Abramowitz and Stegun, 26.7.5), within 1 %.
+ * Returns the 97.5 % quantile: half the width of a 95 % interval, in standard errors. For 1 and 2 degrees of freedom
+ * it has a closed form. From 3 on, the expansion about the normal quantile is used (Abramowitz and Stegun, 26.7.5),
+ * within 1 %.
  */
 export function student95(freedom: number): number {
   if (!(freedom >= 1)) return NaN;
@@ -17,12 +18,12 @@ export function student95(freedom: number): number {
   return terms.reduceRight((rest, term) => (rest + term) / freedom, 0) + Z;
 }
 
-/** A luminance that is not negative, from and to. */
+/** Range of a luminance, not negative: from, to. */
 export type Interval = readonly [number, number];
 
 /**
- * The interval that holds the true luminance of a pixel in about 95 of 100 pixels.
- * - `standardError`: of the pixel, relative to `luminance`.
+ * Returns the interval that contains the true luminance of a pixel in about 95 of 100 pixels.
+ * - `standardError`: standard error of the pixel, relative to `luminance`.
  */
 export function interval95(luminance: number, standardError: number, freedom: number): Interval {
   const half = luminance * standardError * student95(freedom);

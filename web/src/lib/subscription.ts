@@ -1,9 +1,9 @@
-/** A page's end of the feed: it follows the farm while the page is visible. */
+/** A page's subscription to the feed. It follows the farm while the page is visible. */
 
 import { EMPTY, join, type FarmState, type Watcher } from './feed';
 import { Hub, SIGN_MS, type HubMessage, type PageMessage, type Port } from './hub';
 
-/** A hub that is silent for longer than this has crashed: a worker of its kind is started anew. */
+/** Silence after which a hub counts as crashed. A new worker is then started. */
 const SILENT_HUB_MS = 20_000;
 
 /** The page's end of a channel to a hub. */
@@ -15,11 +15,11 @@ export interface HubPort {
 
 export interface Link {
   port: HubPort;
-  /** Ends a hub that belongs to this page alone, at once: messages are not delivered in a page that is put aside. */
+  /** Ends a hub that belongs to this page alone, at once: a page in the browser's page cache receives no messages. */
   end?: () => void;
 }
 
-/** A channel to the hub of the shared worker, or to a hub of the page's own where a browser has no shared workers. */
+/** Opens a channel to the hub of the shared worker, or to a hub in this page if the browser has no shared workers. */
 export function connect(): Link {
   if (typeof SharedWorker === 'function') {
     const worker = new SharedWorker(new URL('./feed.worker.ts', import.meta.url), { type: 'module', name: 'femc feed' });
@@ -42,7 +42,7 @@ export class Subscription {
     private readonly open: () => Link = connect,
   ) {}
 
-  /** Follows the farm from now on, while the page is visible. */
+  /** Starts following the farm while the page is visible. */
   start() {
     addEventListener('pagehide', () => this.leave());
     addEventListener('pageshow', (event) => event.persisted && this.look());
@@ -50,12 +50,12 @@ export class Subscription {
     this.look();
   }
 
-  /** Connects at once, where the connection is lost. */
+  /** Reconnects at once if the connection is lost. */
   again() {
     this.send({ kind: 'again' });
   }
 
-  /** Connects anew, since the user has signed in or out. */
+  /** Reconnects, because the user has signed in or out. */
   restart() {
     this.state = EMPTY;
     this.send({ kind: 'restart' });
@@ -112,7 +112,7 @@ export class Subscription {
         this.state = message.state;
         return this.watcher.farm(this.state, null);
       case 'delta':
-        // A change of a state that this page does not have: the whole state is on its way.
+        // This page does not have the state that the change is based on. The whole state is on its way.
         if (message.since !== this.state.seq) return;
         this.state = join(this.state, message.delta);
         return this.watcher.farm(this.state, message.delta);

@@ -1,4 +1,4 @@
-/** The attempts of a job in lanes: a band for each worker, in it as many lanes as attempts ran side by side. */
+/** Layout of a job's attempts: a band for each worker, with as many lanes as attempts ran in parallel. */
 
 import type { Attempt } from './types';
 

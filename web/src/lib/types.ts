@@ -1,7 +1,6 @@
 /**
- * What the farm says, as JSON (docs/browser.md and the interface of the coordinator, version 1). Seconds are floats;
- * what is absent
- * is null, or missing from a coordinator that does not know of it.
+ * Answers of the farm as JSON (docs/browser.md and the interface of the coordinator, version 1). Seconds are floats.
+ * Absent values are null, or missing if the coordinator does not know the field.
  */
 
 export type JobState = 'queued' | 'running' | 'paused' | 'done' | 'failed' | 'cancelled';
@@ -9,11 +8,11 @@ export type FrameState = 'waiting' | 'running' | 'done' | 'failed';
 export type TaskState = FrameState | 'queued';
 export type Role = 'viewer' | 'submitter' | 'operator' | 'admin';
 
-/** A frame in work; `frame` 0 stands for the job's own stages. */
+/** A frame in progress; `frame` 0 stands for the job's own stages. */
 export interface ActiveFrame {
   frame: number;
   stage: string;
-  /** From 1. */
+  /** Number of the round, from 1. */
   round: number;
   rounds: number;
   tiles_done: number;
@@ -40,10 +39,10 @@ export interface Job {
   owner: string;
   /** Path of the scene file. */
   scene: string;
-  /** A line for people; empty: none. */
+  /** Comment for people; empty: none. */
   comment: string;
   labels: Record<string, string>;
-  /** URL to which a message is posted at its end. */
+  /** URL to which a message is posted when the job has ended. */
   notify: string | null;
   /** 0..100; greater goes first. */
   priority: number;
@@ -54,18 +53,18 @@ export interface Job {
   samples_most: number;
   samples_per_second: number;
   bad_samples: number;
-  /** Of the worst frame so far; null where no sample met light. */
+  /** Relative error of the worst frame so far; null if no sample found light. */
   relative_error: number | null;
-  /** Number of that frame. */
+  /** Number of the worst frame. */
   worst_frame?: number | null;
-  /** Relative error that each frame is to reach; null: the job stops by samples or by time. */
+  /** Target of each frame's relative error; null: the job stops by samples or by time. */
   error_target?: number | null;
-  /** Why the error of the worst frame is above the target; null where it is not. */
+  /** Reason why the error of the worst frame is above the target; null if it is not. */
   above_target?: 'rendering' | 'sample_limit' | 'estimate' | 'unknown' | null;
-  /** Blocks of that frame, and those in which no sample met light. */
+  /** Blocks of the worst frame, and those in which no sample found light. */
   blocks?: number | null;
   unlit_blocks?: number | null;
-  /** Since the first lease, or from the first lease to the end. */
+  /** Seconds from the first lease until now, or until the end. */
   seconds: number;
   /** Unix seconds, by the farm's clock. */
   submitted: number | null;
@@ -75,8 +74,8 @@ export interface Job {
   active: ActiveFrame[];
   copies: number;
   quarantined: QuarantinedTask[];
-  /** Why tasks of it wait, a sentence each. */
-  /** What all of its tasks wait for, in a word: `memory` or `store`. */
+  /** Reasons why its tasks wait, one sentence each. */
+  /** Word for what all of its tasks wait for: `memory` or `store`. */
   waits_for?: string | null;
   waits: string[];
 }
@@ -94,7 +93,7 @@ export interface Worker {
   engine: string;
 }
 
-/** A worker that was there. */
+/** A former worker. */
 export interface OfflineWorker {
   name: string;
   threads: number;
@@ -106,9 +105,9 @@ export interface OfflineWorker {
 }
 
 export interface Me {
-  /** Null where nobody is asked. */
+  /** Null if the coordinator requires no login. */
   name: string | null;
-  /** Null on a coordinator that asks nobody who they are: everybody may do everything. */
+  /** Null if the coordinator requires no login: everybody may do everything. */
   role: Role | null;
   secured: boolean;
   version: string;
@@ -122,7 +121,7 @@ export interface StageTemplate {
   kind: string;
   scope: string;
   needs: number[];
-  /** Of each frame (or other scope) and round, before tasks are cut. */
+  /** Tasks of each frame (or other scope) and round, before tasks are cut. */
   tasks?: number;
   rounds?: number;
 }
@@ -133,10 +132,10 @@ export interface Spec {
   frames: number[];
   tags: string[];
   stages: StageTemplate[];
-  /** Names of the files of the clip and of the contact sheet, where the job makes these. */
+  /** File names of the clip and of the contact sheet, if the job makes them. */
   clip?: string | null;
   sheet?: string | null;
-  /** Settings of the render, as JSON. */
+  /** Render settings, as JSON. */
   settings: string;
 }
 
@@ -146,13 +145,13 @@ export interface Output {
   bytes: number;
 }
 
-/** Times of attempts that have ended; null: none has, or they are not known. */
+/** Times of the attempts that have ended; null: none has ended, or the times are unknown. */
 export interface Times {
-  /** Of all attempts, summed. */
+  /** Processor seconds of all attempts, summed. */
   processor_seconds?: number | null;
-  /** That workers spent in attempts, summed. */
+  /** Seconds that workers spent in attempts, summed. */
   wall_seconds?: number | null;
-  /** From the first lease to the end of the last one, while no attempt ran. */
+  /** Seconds without a running attempt, from the first lease to the end of the last one. */
   waiting_seconds?: number | null;
 }
 
@@ -164,14 +163,14 @@ export interface Frame extends Times {
   tiles: number;
   running: number;
   samples: number;
-  /** Null where no sample met light. */
+  /** Null if no sample found light. */
   relative_error: number | null;
-  /** Blocks of it, and those in which no sample met light. */
+  /** Blocks of the frame, and those in which no sample found light. */
   blocks?: number | null;
   unlit_blocks?: number | null;
-  /** From the first lease to the last result, waiting included. */
+  /** Seconds from the first lease to the last result, waiting included. */
   seconds: number | null;
-  /** Attempts at its tasks that have ended. */
+  /** Number of ended attempts at its tasks. */
   attempts?: number;
   has_image: boolean;
   outputs: Output[];
@@ -183,14 +182,14 @@ export interface Task extends Times {
   stage: string;
   index: number;
   state: TaskState;
-  /** Of the stage. */
+  /** Number of the stage. */
   number: number;
   round: number;
-  /** Who has it now; of a task that is done or failed, who did it or tried. */
+  /** Workers that hold the task; for a done or failed task, workers that executed it. */
   workers: string[];
-  /** Those that failed, or run now; of a task that is done, all. */
+  /** Number of attempts that failed or are running; for a done task, of all attempts. */
   attempts: number;
-  /** Since the lease, while it runs. */
+  /** Seconds since the lease, while the task runs. */
   seconds: number | null;
   failure: string | null;
 }
@@ -200,7 +199,7 @@ export interface TaskWindow {
   tasks: Task[];
 }
 
-/** One lease that was begun; times are seconds by the farm's clock. */
+/** A lease under which work began. Times are seconds by the farm's clock. */
 export interface Attempt {
   job: number;
   task: string;

@@ -1,5 +1,5 @@
 /**
- * The tasks of a job as a virtual table reads them: windows of five hundred, those in sight asked for again when the
+ * The tasks of a job for a virtual table, in windows of five hundred. Visible windows are requested again when the
  * job changes.
  */
 
@@ -7,14 +7,14 @@ import { api, explain, type TaskFilter } from './api';
 import type { Task } from './types';
 
 export const WINDOW = 500;
-/** Windows kept beside those in sight. */
+/** Number of windows to keep besides the visible ones. */
 const KEPT = 40;
 
 export class TaskWindows {
   total = $state(0);
   error = $state<string | null>(null);
   known = $state(false);
-  /** Counts answers: what reads it is drawn again. */
+  /** Number of answers so far. Components that read it are drawn again after every answer. */
   answers = $state(0);
   private readonly windows = new Map<number, Task[]>();
   private readonly asked = new Map<number, AbortController>();
@@ -28,19 +28,19 @@ export class TaskWindows {
     private readonly ask: typeof api.tasks = api.tasks,
   ) {}
 
-  /** The task at a place, or undefined as long as it is not there. */
+  /** Returns the task at an index, or undefined until it is loaded. */
   at(index: number): Task | undefined {
     return this.windows.get(Math.floor(index / WINDOW))?.[index % WINDOW];
   }
 
-  /** These places are in sight; what is missing of them is asked for, once scrolling rests. */
+  /** Sets the visible range. Missing tasks are requested once scrolling stops. */
   show(first: number, last: number) {
     this.sight = [first, last];
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.fetch(false), this.known ? 60 : 0);
   }
 
-  /** The job has changed: what is in sight is asked for again, at most once a second. */
+  /** Requests the visible windows again after a change of the job, at most once a second. */
   changed() {
     if (this.stale) return;
     this.stale = true;

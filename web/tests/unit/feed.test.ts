@@ -74,7 +74,7 @@ describe('parsing', () => {
   });
 });
 
-/** A coordinator of which each connection is one text and then ends or stays open. */
+/** A coordinator whose connections each send one text, then end or stay open. */
 class Coordinator {
   asked: (string | null)[] = [];
   constructor(private readonly answers: (Response | 'refuse')[]) {}

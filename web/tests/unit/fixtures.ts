@@ -73,7 +73,7 @@ export const attempt = (task: string, began: number, ended: number, more: Partia
   ...more,
 });
 
-/** The bytes that a coordinator sends. */
+/** Encodes pixels as a coordinator sends them. */
 export function encode(
   width: number,
   height: number,

@@ -6,7 +6,7 @@ import { job } from './fixtures';
 
 /** A coordinator that keeps each connection open and counts them. */
 class Coordinator {
-  /** The last known change of each request. */
+  /** Last known change in each request. */
   asked: (string | null)[] = [];
   open = new Set<ReadableStreamDefaultController<Uint8Array>>();
   denies = false;
@@ -31,7 +31,7 @@ class Coordinator {
   }
 }
 
-/** A window as far as a subscription knows it; `visibility` is what the tab is. */
+/** A window with the parts that a subscription uses; `visibility` is the state of the tab. */
 function tab(hub: Hub) {
   const listeners = new Map<string, (event: { persisted: boolean }) => void>();
   const told: { states: FarmState[]; connections: Connection[] } = { states: [], connections: [] };
@@ -230,7 +230,7 @@ describe('one feed for all pages of a browser', () => {
     await vi.advanceTimersByTimeAsync(0);
     expect([a.jobs(), b.jobs()]).toEqual([[1], [1]]);
     expect(coordinator.asked.slice(before)).toEqual([null]);
-    // Another user: nothing of what the first one saw is asked for.
+    // For another user, no request refers to what the first one saw.
     b.subscription.restart();
     await vi.advanceTimersByTimeAsync(0);
     expect(coordinator.asked.at(-1)).toBe(null);

@@ -20,12 +20,12 @@ describe('half floats', () => {
     const table = halves();
     const finite = new Set<number>();
     for (let bits = 0; bits < 65536; bits++) {
-      // One claim for all: 65,536 of them would take a second.
+      // One assertion for all: 65,536 assertions would take a second.
       if (!Object.is(table[bits], decodeHalf(bits)))
         throw new Error(`${bits}: ${table[bits]}, not ${decodeHalf(bits)}`);
       if (Number.isFinite(table[bits]!)) finite.add(table[bits]!);
     }
-    // Minus zero is zero in a set.
+    // Minus zero equals zero in a set.
     expect(finite.size).toBe(2 * 31 * 1024 - 1);
   });
 });

@@ -2,7 +2,7 @@ import { describe, expect, test } from 'vitest';
 import { interval95, student95 } from '../../src/lib/student';
 
 describe('intervals of pixels', () => {
-  // The table of engine/film/src/convergence.rs.
+  // Table from engine/film/src/convergence.rs.
   test.each([
     [1, 12.706],
     [2, 4.303],

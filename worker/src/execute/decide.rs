@@ -1,7 +1,7 @@
-//! The errors of a frame's tiles, and what follows from them: the samples that each tile gets in the next round.
+//! The decision task: measures the errors of a frame's tiles and decides how many samples each tile gets in the next round.
 //!
-//! What is decided depends on the tiles and the job's settings alone, by `femc_pipeline`'s rule, but where a person has asked for a
-//! time.
+//! The decision depends only on the tiles and the job's settings, by the rule of `femc_pipeline`, unless the user has set a time
+//! limit.
 
 use femc_film::{Errors, FrameError, Stops, TileErrors};
 use femc_model::{Blocks, Decision, Failure, More, Phase, Role, Round, Template};
@@ -56,7 +56,7 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     Ok(product)
 }
 
-/// Samples a pixel at the end of the next round, if one may follow.
+/// Returns the planned samples per pixel at the end of the next round, if another round may follow.
 fn planned(task: &Task) -> Option<u32> {
     let next = task.assignment.task.stage.round as usize + 1;
     task.spec.rounds().get(next).copied().filter(|_| task.assignment.work.more == More::Rounds)

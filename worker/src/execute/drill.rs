@@ -1,8 +1,10 @@
-//! Exact arithmetic on numbers: an exercise of the farm whose answer anybody can check, in stages that iterate and that jobs share.
+//! The drill task: exact arithmetic on numbers. It exercises the farm with results that anybody can check, in stages that iterate
+//! and that jobs share.
 //!
-//! A block is as many numbers as the settings say, modulo 2^64. A task without inputs makes its block of the seed and its number;
-//! one with inputs adds up all that it reads, each block times an odd number of its own, and mixes in its own number. Additions
-//! wrap around, so any order gives the same bits. A task whose hints are all there saves the time that it is to take.
+//! A block is a list of numbers modulo 2^64; the settings give its length. A task without inputs derives its block from the seed
+//! and its own number. A task with inputs adds up the blocks that it reads, each multiplied by an odd number of its own, and mixes
+//! in its own number. Additions wrap around, so any order gives the same bits. A task whose hints are all available skips its
+//! artificial delay.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -16,7 +18,7 @@ use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
-/// The settings of a job of drills.
+/// Settings of a drill job.
 #[derive(Debug, Clone, Copy, Deserialize)]
 struct Settings {
     drill: Drill,
@@ -24,19 +26,19 @@ struct Settings {
 
 #[derive(Debug, Clone, Copy, Deserialize)]
 struct Drill {
-    /// Where the numbers come from.
+    /// Seed of the numbers.
     seed: u64,
-    /// Numbers of a block.
+    /// Length of a block.
     numbers: u32,
-    /// How long a task is to take at least.
+    /// Minimum duration of a task.
     #[serde(default)]
     milliseconds: u64,
 }
 
 impl Drill {
-    /// Most numbers of a block.
+    /// Largest length of a block.
     const MOST: u32 = 1 << 20;
-    /// The longest that a task may be made to take.
+    /// Largest allowed value of the minimum duration, milliseconds.
     const LONGEST: u64 = 60_000;
 
     fn of(spec: &JobSpec) -> Result<Self, Failure> {
@@ -51,7 +53,7 @@ impl Drill {
         Ok(drill)
     }
 
-    /// The key of what is shared: of all that the numbers depend on.
+    /// Returns the key of the shared content: a digest of all that the numbers depend on.
     fn key(&self, spec: &JobSpec) -> Digest {
         let stages = spec.graph.of(Scope::Content).map(|(_, template)| template.clone()).collect();
         let mut bytes = femc_model::Graph { stages }.encode();
@@ -60,7 +62,7 @@ impl Drill {
     }
 }
 
-/// The key of what jobs of drills with these settings and stages share; `None`: they are no drills.
+/// Returns the key of the content that drill jobs with these settings and stages share; `None` if the job is not a drill.
 pub fn drill_key(spec: &JobSpec) -> Option<Digest> {
     Drill::of(spec).ok().map(|drill| drill.key(spec))
 }
@@ -105,7 +107,7 @@ pub(super) fn drill(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     Ok(product)
 }
 
-/// Whether all that the task may look at of the frame before is there. Who does not get it goes without.
+/// Checks that all hints from the previous frame are available. A task without them still works.
 fn looks_at_all(task: &Task, tools: &Tools) -> bool {
     let hints: Vec<Artifact> = task.assignment.work.hinted().collect();
     !hints.is_empty() && tools.fetch.all(&task.client, &hints).iter().all(Result::is_ok)
@@ -122,7 +124,7 @@ fn add(sums: &mut [u64], bytes: &[u8], times: u64) -> Result<(), FilmError> {
     Ok(())
 }
 
-/// By what the numbers of a block are multiplied.
+/// Returns the odd factor for the numbers of a block.
 fn odd(item: u32) -> u64 {
     2 * u64::from(item) + 1
 }

@@ -1,17 +1,18 @@
-//! What a job shows beside its images: stills under one exposure, a contact sheet, a clip.
+//! Additional outputs of a job besides its images: stills under one exposure, a contact sheet, a clip.
 //!
-//! | stage | of | reads | makes |
+//! | stage | scope | reads | makes |
 //! | --- | --- | --- | --- |
-//! | render | frame | | beside its tile a thumbnail: the tile's exact sums in blocks of pixels |
-//! | reduce | frame | thumbnails of all rounds | levels: its blocks, counted by their luminance |
+//! | render | frame | | besides its tile a thumbnail: the tile's exact sums in blocks of pixels |
+//! | reduce | frame | thumbnails of all rounds | levels: a histogram of the blocks' luminance |
 //! | reduce | job | levels of 256 frames, then of 256 of these, and so on | levels |
 //! | encode | job | for each frame its image, and the levels of all | a still |
 //! | encode | job | all stills | a contact sheet |
 //! | encode | job | all stills | a clip |
-//! | paint | job | for each frame its layers, the levels of all, and the brushwork of the frame before | a painted frame, brushwork |
+//! | paint | job | for each frame its layers, the levels of all, and the brushwork of the previous frame | a painted frame, brushwork |
 //!
-//! A frame that cannot be finished counts in no levels, and is shown as a gray card with a cross. What is asked for stands in the
-//! options of the job's own stages: not in its settings, which its images name, so that these are the same with a clip and without.
+//! A frame that cannot be finished is not counted in the levels. It is shown as a gray card with a cross. The requested outputs are
+//! in the options of the job's own stages. They are not in its settings, because images name the settings: so images are equal with
+//! and without a clip.
 
 use std::fs;
 use std::path::PathBuf;
@@ -34,21 +35,21 @@ use crate::clock::Stopwatch;
 use crate::plan::PAINTING;
 use crate::table::Task;
 
-/// Tiles whose levels a task counts, and levels that a task adds up.
+/// Number of tiles whose levels a task counts, and of levels that a task adds up.
 const FAN: u32 = 256;
-/// Inputs that are downloaded side by side: bounds what is in memory.
+/// Number of inputs downloaded in parallel; limits the memory use.
 const BATCH: usize = 16;
 
-/// What a job is to show beside its images.
+/// Requested outputs of a job besides its images.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Wish {
-    /// Each frame under the clip's exposure.
+    /// Whether to write each frame as a still under the clip's exposure.
     pub stills: bool,
-    /// The name of a contact sheet's file.
+    /// File name of a contact sheet.
     pub sheet: Option<String>,
     /// A clip.
     pub video: Option<Video>,
-    /// Each frame in a painted style.
+    /// Painted style for the frames.
     #[serde(default)]
     pub painting: Option<Painting>,
 }
@@ -56,14 +57,14 @@ pub struct Wish {
 /// A painted style.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Painting {
-    /// One of those that come with the program.
+    /// Name of a built-in style.
     pub style: String,
-    /// How much may change where the frames do not, 0 to 1.
+    /// Amount of change allowed where the frames do not change, 0 to 1.
     pub boil: f32,
 }
 
 impl Painting {
-    /// Whether there is such a style, and a sound dial.
+    /// Checks that the style exists and `boil` is within 0 to 1.
     pub fn is_sound(&self) -> bool {
         femc_stylize::styles::names().any(|name| name == self.style) && (0.0..=1.0).contains(&self.boil)
     }
@@ -72,19 +73,19 @@ impl Painting {
 /// A clip.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Video {
-    /// The name of its file, whose extension names the format.
+    /// File name; its extension selects the format.
     pub name: String,
-    /// Frames a second, 0.01 to 100.
+    /// Frames per second, 0.01 to 100.
     pub rate: f64,
 }
 
 impl Video {
-    /// Whether it takes ffmpeg.
+    /// Checks whether the format needs ffmpeg.
     pub fn needs_ffmpeg(&self) -> bool {
         AnimationFormat::of(self.name.as_ref()).is_err()
     }
 
-    /// Whether it names a file that an encoder can be told to write, and a rate.
+    /// Checks that the file name is safe to pass to an encoder and that the rate is in range.
     pub fn is_sound(&self) -> bool {
         let extension = self.name.rsplit_once('.').map_or("", |(_, extension)| extension);
         is_file(&self.name)
@@ -94,13 +95,13 @@ impl Video {
     }
 }
 
-/// Whether a name is that of a file that may be written to a folder of somebody else's choice: none that is out of sight there.
+/// Checks that the name is safe as a file name in a folder that another user chooses, and not hidden.
 fn is_file(name: &str) -> bool {
     JobSpec::names_files(name) && !name.starts_with('.')
 }
 
 impl Wish {
-    /// Whether a sheet is a PNG, a clip is sound, and they are two files.
+    /// Checks that the sheet is a PNG, that the clip and the painting are valid, and that sheet and clip are two files.
     pub fn is_sound(&self) -> bool {
         let video = self.video.as_ref();
         self.sheet.as_ref().is_none_or(|name| is_file(name) && name.ends_with(".png"))
@@ -108,12 +109,12 @@ impl Wish {
             && self.painting.as_ref().is_none_or(Painting::is_sound)
     }
 
-    /// Whether nothing is wanted.
+    /// Checks that no output is requested.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// What a job of this graph was asked to show, if that is sound.
+    /// Returns the outputs requested in a job's graph; nothing if they are invalid.
     pub fn of(graph: &Graph) -> Self {
         let shows = |template: &&Template| matches!(template.kind, StageKind::Encode | StageKind::Paint);
         let encode = graph.stages.iter().find(shows);
@@ -121,7 +122,7 @@ impl Wish {
         wish.filter(Self::is_sound).unwrap_or_default()
     }
 
-    /// Adds the stages that make it to the graph of a job of so many frames. Nothing of the frames' images changes.
+    /// Adds the stages for the requested outputs to the graph of a job with `frames` frames. The frames' images do not change.
     pub fn add_to(&self, graph: &mut Graph, frames: u32) {
         let makes =
             |graph: &Graph, role| graph.of(Scope::Frame).rfind(|(_, it)| it.makes.contains(&role)).map(|(n, _)| n);
@@ -131,7 +132,7 @@ impl Wish {
         }
         let tiles = graph.stages[usize::from(render)].tasks();
         graph.stages[usize::from(render)].makes.push(Role::Thumbnail);
-        // Who cannot read the job's graph can do nothing of it.
+        // A worker that cannot read the job's graph can run none of its stages.
         let asked = graph.stages[usize::from(render)].tags.clone();
         let mut push = |mut template: Template| {
             template.tags.extend_from_slice(&asked);
@@ -153,7 +154,7 @@ impl Wish {
             levels = push(reduce(Scope::Job, count).needs(below));
             gaps = false;
         }
-        // Plain data: that does not fail.
+        // Serializing plain data cannot fail.
         let options = serde_json::to_string(self).unwrap_or_default();
         let encode = |tasks, role| {
             Template::new(StageKind::Encode, Scope::Job, Sizes::even(tasks, 1), &[role]).options(options.clone())
@@ -181,7 +182,7 @@ impl Wish {
     }
 }
 
-/// The levels of thumbnails, or the sum of levels.
+/// Computes the levels of thumbnails, or the sum of levels.
 pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
@@ -196,7 +197,7 @@ pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     Ok(product(stage, Role::Levels, sum.encode(), &watch))
 }
 
-/// The thumbnails of a group of tiles, put together: of every tile just the samples that it was given.
+/// Combines the thumbnails of a group of tiles. Checks that each tile holds exactly the samples that it was given.
 fn thumbnails(task: &Task, stage: &Template, tools: &Tools) -> Result<Frame, Failure> {
     let span = tiles(task, stage, Role::Thumbnail)?;
     let small = tiling(task)?.of_thumbnails();
@@ -231,7 +232,7 @@ fn product(stage: &Template, role: Role, bytes: Vec<u8>, watch: &Stopwatch) -> P
     product
 }
 
-/// A frame under the exposure of all, as PNG; a card where there is no frame.
+/// Encodes a frame as PNG under the exposure common to all frames. A missing frame gives a card.
 fn still(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
     let mut curve = ToneCurve::of_levels(&Levels::default());
     each(task, Role::Levels, tools, |bytes| Levels::decode(bytes).map(|levels| curve = ToneCurve::of_levels(&levels)))?;
@@ -249,7 +250,7 @@ fn still(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
     tools.install(task, || picture.to_png()).map_err(|error| broken(&error))
 }
 
-/// What is shown of every frame, in order; how many there are.
+/// Returns the number of frames, and their pictures in order.
 fn pictures<'a>(
     task: &'a Task,
     tools: &'a Tools,
@@ -263,7 +264,7 @@ fn pictures<'a>(
     Ok((count as u32, batches.into_iter().flat_map(|batch| decoded(task, &batch, tools))))
 }
 
-/// A batch of pictures, or why it cannot be had.
+/// Downloads and decodes a batch of pictures; returns a failure for each one that is not available.
 fn decoded(task: &Task, batch: &[Artifact], tools: &Tools) -> Vec<Result<Picture, Failure>> {
     let mut lost = Lost::default();
     let fetched = lost.fetch(task, batch, tools);
@@ -278,7 +279,7 @@ fn decoded(task: &Task, batch: &[Artifact], tools: &Tools) -> Vec<Result<Picture
     tools.install(task, || here.par_iter().map(picture).collect())
 }
 
-/// All frames on one PNG.
+/// Encodes all frames as a contact sheet in PNG.
 fn sheet(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
     let (count, pictures) = pictures(task, tools)?;
     let width = sheet_width(count);
@@ -286,7 +287,7 @@ fn sheet(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
     tools.install(task, || contact_sheet(&small, NEARLY_SQUARE).to_png()).map_err(|error| broken(&error))
 }
 
-/// All frames as a clip.
+/// Encodes all frames as a clip.
 fn clip(task: &Task, stage: &Template, tools: &Tools) -> Result<Vec<u8>, Failure> {
     let wish: Wish = serde_json::from_str(&stage.options).map_err(unfit)?;
     let video = wish.video.filter(Video::is_sound).ok_or_else(|| unfit("the stage's options name no clip"))?;
@@ -304,7 +305,7 @@ fn clip(task: &Task, stage: &Template, tools: &Tools) -> Result<Vec<u8>, Failure
     fs::read(&path).map_err(|error| broken(&format!("the clip is not where it was written: {error}")))
 }
 
-/// A folder for an encoder's file, which goes with this.
+/// A temporary folder for an encoder's file; removed on drop.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -318,12 +319,12 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // What stays of it is the system's to clean.
+        // The system cleans up what cannot be removed here.
         let _ = fs::remove_dir_all(&self.0);
     }
 }
 
-/// What is not the inputs' fault.
+/// Returns a failure that is not caused by the inputs.
 fn broken(error: &dyn std::fmt::Display) -> Failure {
     Failure::Panicked { message: error.to_string() }
 }

@@ -1,4 +1,4 @@
-//! The first pass of a world: what is solved once for all frames, and all jobs, that are of it. It is one task, or many steps of it.
+//! The first pass of a world. It is solved once for all frames and jobs that share the world, in one task or in many steps.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -14,7 +14,7 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
     let spec = &task.spec;
     task.enter(Phase::Preparing);
     let watch = Stopwatch::start();
-    // Any frame of the content: they differ in nothing that the solution depends on.
+    // Any frame with this content will do: its frames do not differ in anything that the solution depends on.
     let frame = *spec.frames.first().ok_or_else(|| unfit("a first pass of no frame"))?;
     let read = tools.cache.scene(spec, &task.client, &tools.fetch)?;
     if !read.settings.method.has_first_pass() {
@@ -51,7 +51,7 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
     });
     let (bytes, field) = solved.map_err(failed)?;
     task.units.store(1, Ordering::Relaxed);
-    // Who has solved it need not fetch it.
+    // The worker that solved the first pass need not download it.
     tools.cache.keep_field(Digest::of(&bytes), field);
     let mut product = Product::default();
     product.put(stage, Role::Field, || bytes);

@@ -1,7 +1,7 @@
-//! A first pass in blocks: what one task does for all of them, and what each does.
+//! A first pass in blocks: the steps that one task does for all blocks, and the steps of each block.
 //!
-//! What a step begins with is made of the outputs of the steps before once a worker and kept (`Cache`), so that the next block begins at
-//! once; who has taken in the rays of all blocks goes on with that and fetches nothing.
+//! A worker builds the starting state of a step once from the outputs of the earlier steps and caches it (`Cache`), so that the
+//! next block begins at once. The worker that has combined the rays of all blocks continues with that state and downloads nothing.
 
 use std::sync::Arc;
 
@@ -15,13 +15,13 @@ use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
-/// Into how many blocks a graph's first pass is cut.
+/// Returns the number of blocks of a graph's first pass.
 pub(super) fn blocks(graph: &Graph) -> u32 {
     let blocks = graph.stages.iter().filter(|stage| stage.kind == StageKind::FirstPassBlock);
     blocks.map(Template::tasks).max().unwrap_or(1)
 }
 
-/// What a step is of: the job's method, and the world.
+/// Context of a step: the job's method and the world.
 type World<'a> = (Method, &'a Arc<Prepared>);
 
 pub(super) fn step(
@@ -69,7 +69,7 @@ pub(super) fn step(
     if task.is_cancelled() { Err(Failure::Cancelled) } else { Ok(product) }
 }
 
-/// Takes in the rays of all blocks. Where no guides follow, this is the end.
+/// Combines the rays of all blocks. If no guides follow, it also writes the solution.
 fn settle(
     task: &Task,
     stage: &Template,
@@ -102,7 +102,7 @@ fn settle(
         return solution(task, stage, tools, (world, watch), (underway, Vec::new()), product);
     }
     let bytes = tools.install(task, || underway.encode_elements());
-    // What follows on this worker goes on with it.
+    // Later steps on this worker continue with the cached state.
     let elements = Artifact { digest: Digest::of(&bytes), bytes: bytes.len() as u64 };
     let of: Vec<Artifact> = [elements].into_iter().chain(artifacts(task, Role::Links)).chain(rays).collect();
     tools.cache.settled(&of, || Ok(settled))?;
@@ -126,13 +126,13 @@ fn solution(
         Ok((bytes, Arc::new(solution.field)))
     });
     let (bytes, field) = solved.map_err(failed)?;
-    // Who has solved it need not fetch it.
+    // The worker that solved the first pass need not download it.
     tools.cache.keep_field(Digest::of(&bytes), field);
     product.put(stage, Role::Field, || bytes);
     Ok(())
 }
 
-/// What rays begin with.
+/// Returns the state from which the rays start.
 fn aimed(task: &Task, tools: &Tools, world: World<'_>) -> Result<Arc<Aimed>, Failure> {
     let (method, prepared) = world;
     tools.cache.aimed(&read(task, &[Role::Elements, Role::Links, Role::Guides]), || {
@@ -143,7 +143,7 @@ fn aimed(task: &Task, tools: &Tools, world: World<'_>) -> Result<Arc<Aimed>, Fai
     })
 }
 
-/// What guides begin with.
+/// Returns the state from which the guides start.
 fn settled(task: &Task, tools: &Tools, world: World<'_>) -> Result<Arc<Settled>, Failure> {
     let of = read(task, &[Role::Elements, Role::Links, Role::Rays]);
     tools.cache.settled(&of, || {
@@ -177,7 +177,7 @@ fn sights(task: &Task, tools: &Tools) -> Result<Vec<Sights>, Failure> {
     all(task, tools, &mut Lost::default(), Role::Rays, Sights::decode)
 }
 
-/// What all blocks have made of a role, in order. Names every one that is lost.
+/// Downloads and decodes the outputs of one role from all blocks, in order. The error names all lost outputs.
 fn all<T: Send>(
     task: &Task,
     tools: &Tools,
@@ -196,7 +196,7 @@ fn all<T: Send>(
     Ok(out)
 }
 
-/// What the task reads of these roles, in order.
+/// Returns the task's inputs of these roles, in order.
 fn read(task: &Task, roles: &[Role]) -> Vec<Artifact> {
     roles.iter().flat_map(|&role| artifacts(task, role)).collect()
 }

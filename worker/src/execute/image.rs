@@ -1,4 +1,4 @@
-//! All that there is of a frame: its error, and its image.
+//! The image task: assembles a frame and computes its error.
 
 use femc_film::{BadSamples, FilmError, FrameImage, Piece, Provenance, SampleRange, ToneCurve, exr};
 use femc_model::{Blocks, Decision, Failure, More, Phase, Role, Template};
@@ -78,7 +78,7 @@ pub(super) fn damaged_picture(error: &FilmError) -> Failure {
     Failure::Panicked { message: format!("the image cannot be written: {error}") }
 }
 
-/// The resolved pixels of all tiles, their account of samples that were left out, and the samples of each tile.
+/// Returns the resolved pixels of all tiles, the count of rejected samples, and the sample range of each tile.
 fn put_together(task: &Task, tools: &Tools) -> Result<(FrameImage, BadSamples, Vec<SampleRange>), Failure> {
     let tiling = tiling(task)?;
     let (mut image, mut bad) = (FrameImage::black(tiling.width, tiling.height), BadSamples::default());

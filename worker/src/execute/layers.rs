@@ -1,4 +1,5 @@
-//! Layers and features: the sums of tiles, united and resolved in groups when it is known which samples count, and put together beside the picture.
+//! Layers and features. Reduce tasks unite and resolve the sums of a group of tiles once it is known which samples count. The image
+//! task assembles the groups beside the picture.
 
 use std::collections::BTreeMap;
 
@@ -14,14 +15,14 @@ use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
-/// Tiles of a group, resolved.
+/// Unites and resolves the layers of a group of tiles.
 pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
     let (tiling, stops) = (tiling(task)?, stops(task, tools)?);
     let begin = stops.as_ref().map_or(0, |stops| stops.pace.begin);
     let span = tiles(task, stage, Role::Layers)?;
-    // What each tile was rendered in.
+    // Parts of each tile.
     let mut inputs: BTreeMap<u32, Vec<_>> = span.clone().map(|tile| (tile, Vec::new())).collect();
     for input in task.assignment.work.of_role(Role::Layers) {
         inputs.entry(input.item).or_default().push(input.output.artifact);
@@ -42,7 +43,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         if parts.len() < artifacts.len() {
             continue;
         }
-        // A tile without its parts, or with others than its samples, is made again.
+        // A tile with missing parts or with wrong samples is rendered again.
         let given = expected(task, place).end;
         let united = BesideTile::united(parts, begin, ends).map_err(|error| error.to_string()).and_then(|all| {
             let samples = all.samples();
@@ -67,7 +68,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     Ok(product)
 }
 
-/// All layers of a frame as a file.
+/// Encodes all layers of a frame as a file.
 pub(super) fn of_frame(
     task: &Task,
     tools: &Tools,
@@ -102,7 +103,7 @@ pub(super) fn of_frame(
     file.map_err(|error| damaged_picture(&error))
 }
 
-/// What the file tells of its Cryptomattes: how ids were made, and the names of those that are in the frame.
+/// Returns the Cryptomatte attributes of the file: how ids are computed, and the names of the objects in the frame.
 fn mattes(settings: &Settings, scene: &Scene, image: &FeatureImage) -> Result<Vec<(String, String)>, Failure> {
     let mut texts = Vec::new();
     for (kind, (matte, names)) in feature_mattes(&settings.features, scene).into_iter().enumerate() {

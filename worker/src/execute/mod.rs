@@ -1,4 +1,4 @@
-//! Doing tasks: one file a kind.
+//! Execution of tasks, one file per task kind.
 
 mod decide;
 mod drill;
@@ -35,7 +35,7 @@ use crate::table::Task;
 use crate::threads::LeftBehind;
 use crate::{Cache, Journal};
 
-/// What a task needs beside itself.
+/// Resources that tasks need.
 #[derive(Debug, Clone)]
 pub(crate) struct Tools {
     pub(crate) pool: Arc<ThreadPool>,
@@ -48,12 +48,12 @@ pub(crate) struct Tools {
 }
 
 impl Tools {
-    /// The same for one task: what is fetched with them is fetched for it.
+    /// Returns a copy that charges its downloads to `task`.
     fn of(&self, task: &Arc<Task>) -> Self {
         Self { fetch: self.fetch.of(task), ..self.clone() }
     }
 
-    /// Does `work` for `task` on the pool. Until a thread of the pool is free for it, the task takes no processor time.
+    /// Runs `work` for `task` on the pool. The task is not charged for processor time until a thread of the pool is free for it.
     pub(crate) fn install<T: Send>(&self, task: &Task, work: impl FnOnce() -> T + Send) -> T {
         let span = Span::current();
         task.account.doing(Doing::Waits);
@@ -72,7 +72,7 @@ pub(crate) struct Product {
 }
 
 impl Product {
-    /// Makes an output, if the stage is to have one of this role.
+    /// Adds an output if the stage makes one of this role.
     fn put<T: Into<Bytes>>(&mut self, stage: &Template, role: Role, make: impl FnOnce() -> T) {
         if stage.makes.contains(&role) {
             let bytes = make().into();
@@ -82,7 +82,7 @@ impl Product {
     }
 }
 
-/// Does the task. A panic is a failure like others.
+/// Executes the task. A panic counts as a failure.
 pub(crate) fn execute(task: &Arc<Task>, tools: &Tools) -> Result<Product, Failure> {
     task.begin();
     let tools = &tools.of(task);
@@ -122,7 +122,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     outcome
 }
 
-/// The stage that the task is of.
+/// Returns the task's stage.
 fn stage(task: &Task) -> Result<&Template, Failure> {
     let (graph, Stage { number, kind, round, .. }) = (&task.spec.graph, task.assignment.task.stage);
     let stage = graph.stage(number).filter(|stage| stage.kind == kind && round < graph.rounds(number));
@@ -130,7 +130,7 @@ fn stage(task: &Task) -> Result<&Template, Failure> {
     stage.ok_or_else(|| unfit(format!("the job's graph has no task {}", task.key().0)))
 }
 
-/// The job's settings, its film and its graph do not go together.
+/// Returns the failure of a job whose settings, film and graph do not match.
 fn unfit(message: impl Display) -> Failure {
     Failure::Settings { message: message.to_string() }
 }
@@ -160,7 +160,7 @@ mod tests {
         }
     }
 
-    /// What becomes of a reduce task of four tiles that are read so, changed.
+    /// Runs a reduce task that reads four tiles with this reach, after `change` is applied to the task.
     async fn reduced(reach: Reach, change: impl FnOnce(&mut Task)) -> Result<Product, Failure> {
         let mut task = Arc::into_inner(crate::outbox::tests::task(0, b"").await).unwrap();
         let grid = Grid { film: [64, 16], tile: 16 };

@@ -1,4 +1,4 @@
-//! Frames in a painted style, one after the other: each goes on with the brushwork of the frame before.
+//! The paint task: renders frames in a painted style, one after the other. Each frame continues the brushwork of the previous one.
 
 use std::io::Cursor;
 
@@ -12,7 +12,8 @@ use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
-/// Of a task: the frame under the exposure of all, painted; a card where there is no frame, behind which the next one is painted anew.
+/// Paints the task's frame under the exposure common to all frames. A missing frame gives a card, and the next frame is painted
+/// from scratch.
 pub(super) fn paint(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
     let watch = Stopwatch::start();
     task.enter(Phase::Preparing);

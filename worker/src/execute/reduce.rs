@@ -1,5 +1,5 @@
-//! Outputs of one role, united: the tiles of a group, as sums for the next round, as resolved pixels for the image, and as errors
-//! for the decision; what a clip's exposure is found by, and what is known of paths.
+//! The reduce task: combines outputs of one role. It combines the tiles of a group as sums for the next round, as resolved pixels
+//! for the image, and as errors for the decision. It also combines levels for a clip's exposure and the statistics of paths.
 
 use femc_film::{Errors, Piece};
 use femc_model::{Failure, More, Phase, Role, Template};

@@ -1,4 +1,4 @@
-//! One tile, one range of samples.
+//! The render task: one tile, one range of samples.
 
 use std::sync::atomic::Ordering;
 

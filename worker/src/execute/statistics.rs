@@ -1,4 +1,5 @@
-//! Light statistics: what tiles know of the paths of their samples, united, and reduced to what counts in a frame.
+//! Light statistics: combines the statistics that tiles have collected about the paths of their samples, and selects the samples
+//! that count in the frame.
 
 use femc_model::{Failure, Phase, Role, Template};
 use femc_pipeline::paths::{PortionKey, Statistics};
@@ -8,7 +9,7 @@ use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
-/// What a group of tiles knows.
+/// Combines the path statistics of a group of tiles.
 pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
@@ -19,7 +20,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     Ok(product)
 }
 
-/// All that the task reads of paths.
+/// Combines all path statistics that the task reads.
 fn united(task: &Task, tools: &Tools) -> Result<Statistics, Failure> {
     let mut all: Option<Statistics> = None;
     each(task, Role::Paths, tools, |bytes| {
@@ -37,7 +38,8 @@ fn united(task: &Task, tools: &Tools) -> Result<Statistics, Failure> {
     Ok(all)
 }
 
-/// What counts in the frame, as bytes: the same whoever rendered what, and in what parts.
+/// Encodes the statistics of the samples that count in the frame. The bytes do not depend on which worker rendered what, or in
+/// which parts.
 pub(super) fn of_frame(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
     let watch = Stopwatch::start();
     let all = united(task, tools)?;
@@ -48,7 +50,7 @@ pub(super) fn of_frame(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
         stop.map_or(u32::MAX, |ends| ends[usize::from(half)])
     };
     let counted = tools.install(task, || all.counted(begin, end));
-    // Every tile has just the samples that it was given and that count.
+    // Each tile must hold exactly the samples that it was given and that count.
     let wanted = (0..tiling(task)?.count() as u32).flat_map(|tile| {
         let given = expected(task, tile as usize).end;
         [0, 1].map(|half| PortionKey { tile, half, begin, end: given.min(end(tile, half)) })

@@ -1,4 +1,4 @@
-//! The union of tiles, keyed by (tile, sample range): in any order and grouping the same sums to the bit.
+//! The union of tiles, keyed by (tile, sample range). Any order and grouping gives the same sums, bit for bit.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -16,19 +16,19 @@ use super::{Tools, unfit};
 use crate::sums;
 use crate::table::Task;
 
-/// Tiles that are downloaded and taken in side by side: bounds what is in memory beside the frame.
+/// Number of tiles downloaded and added in parallel; limits the memory beside the frame.
 const BATCH: usize = 16;
-/// The same of groups of tiles.
+/// Number of groups of tiles downloaded and added in parallel.
 const GROUPS: usize = 4;
 
-/// How the job's film is cut.
+/// Returns the tiling of the job's film.
 pub(super) fn tiling(task: &Task) -> Result<Tiling, Failure> {
     let grid = task.spec.grid;
     let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile);
     tiling.map_err(unfit)
 }
 
-/// The tiles that the task unites, by what its stage reads of them: outputs of `role`, one or more for each tile.
+/// Returns the tiles that the task combines. They follow from the stage's inputs of `role`, one or more per tile.
 pub(super) fn tiles(task: &Task, stage: &Template, role: Role) -> Result<Range<u32>, Failure> {
     let (item, tiles) = (task.assignment.work.item, task.spec.grid.tiles());
     match stage.needs.iter().find(|need| need.role == role).map(|need| need.reach) {
@@ -38,18 +38,18 @@ pub(super) fn tiles(task: &Task, stage: &Template, role: Role) -> Result<Range<u
     }
 }
 
-/// Samples that a tile has been given in all rounds until now.
-/// - `place`: of the tile among those that the task reads, at first or at second hand.
+/// Returns the number of samples that a tile has been given in all rounds so far.
+/// - `place`: position of the tile among the tiles that the task reads, directly or through other tasks.
 fn given(task: &Task, place: usize) -> u32 {
     task.assignment.work.taken.of(place).unwrap_or(0)
 }
 
-/// What the task reads of one role, in order.
+/// Returns the task's inputs of one role, in order.
 pub(super) fn artifacts(task: &Task, role: Role) -> Vec<Artifact> {
     task.assignment.work.of_role(role).map(|input| input.output.artifact).collect()
 }
 
-/// What the decision of the round before has left; `None` in the first round.
+/// Returns the output of the previous round's decision; `None` in the first round.
 pub(super) fn stops(task: &Task, tools: &Tools) -> Result<Option<Stops>, Failure> {
     let (tiles, mut lost, mut found) = (tiling(task)?.count(), Lost::default(), None);
     for (artifact, bytes) in lost.fetch(task, &artifacts(task, Role::Stops), tools)? {
@@ -59,17 +59,18 @@ pub(super) fn stops(task: &Task, tools: &Tools) -> Result<Option<Stops>, Failure
     Ok(found)
 }
 
-/// The samples of a tile when the round is whole, those of a pilot among them.
+/// Returns the sample range of a tile when the round is complete, including the pilot's samples.
 pub(super) fn expected(task: &Task, place: usize) -> SampleRange {
     (0..given(task, place)).into()
 }
 
-/// The sums of the rounds before and the tiles of this one, of the tiles `span`. Whole: each of them holds just the samples
-/// of these rounds, in whatever parts they came. Names every input that is lost, so that all are made again at once.
+/// Adds the tiles of this round to the sums of the earlier rounds, for the tiles in `span`. Checks that each of these tiles holds
+/// exactly the samples of these rounds, no matter in which parts they came. The error names every lost input, so that all are
+/// computed again at once.
 pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Frame, Failure> {
     let mut frame = Frame::new(tiling(task)?);
     let mut lost = Lost::default();
-    // What each tile of this round is made of.
+    // Inputs of each tile of this round.
     let mut made_of: BTreeMap<Option<usize>, Vec<Digest>> = BTreeMap::new();
     let stops = stops(task, tools)?;
     let begin = stops.as_ref().map_or(0, |stops| stops.pace.begin);
@@ -80,7 +81,7 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
         lost.check(previous, tools.install(task, || sums::decode(&bytes)).and_then(insert));
     }
     if let Some(stops) = stops {
-        // Sums of samples on both sides of an end were made by another build or are damaged: they are made again.
+        // Sums with samples on both sides of an end are damaged or come from another build. They are computed again.
         let hold = |(index, ends): (usize, &Ends)| frame.hold(index, *ends);
         let held = stops.ends.iter().enumerate().try_for_each(hold);
         if let (Err(error), [sums, ..]) = (held, &artifacts(task, Role::Sums)[..]) {
@@ -115,10 +116,10 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
     Ok(frame)
 }
 
-/// What the task reads of one role, which is made of groups of tiles: every tile of the frame once, each with just the samples that
-/// it was given. Names every input that is lost.
-/// - `account`: how the film of a group is cut, its tiles, the samples of each.
-/// - `take`: takes a group in, in order of its tiles.
+/// Reads all inputs of a role whose outputs are groups of tiles. Checks that every tile of the frame occurs once and has exactly
+/// the samples that it was given. The error names every lost input.
+/// - `account`: returns a group's tiling, its tiles, and the samples of each tile.
+/// - `take`: receives the groups in order of their tiles.
 pub(super) fn groups<T: Send>(
     task: &Task,
     role: Role,
@@ -158,7 +159,7 @@ pub(super) fn groups<T: Send>(
     if covered == wanted { Ok(()) } else { Err(unfit(format!("{covered} tiles are there, the frame has {wanted}"))) }
 }
 
-/// Takes in all inputs of one role in order, a batch at a time; names those that are lost or do not fit.
+/// Passes all inputs of one role to `take`, in order and in batches. The error names the inputs that are lost or do not fit.
 pub(super) fn each<E: Display>(
     task: &Task,
     role: Role,
@@ -184,7 +185,7 @@ pub(super) struct Lost {
 }
 
 impl Lost {
-    /// Downloads these, which shows as progress; what is lost is left out, a failure of another kind ends the task.
+    /// Downloads `artifacts` and counts them as progress. Lost ones are noted and left out; any other failure ends the task.
     pub(super) fn fetch(
         &mut self,
         task: &Task,
@@ -206,7 +207,7 @@ impl Lost {
         Ok(here)
     }
 
-    /// Takes note of one that does not fit.
+    /// Notes an input that does not fit.
     pub(super) fn check(&mut self, artifact: Artifact, outcome: Result<(), impl Display>) {
         if let Err(error) = outcome {
             self.digests.push(artifact.digest);
@@ -214,7 +215,7 @@ impl Lost {
         }
     }
 
-    /// Fails if anything is lost.
+    /// Fails if any input is lost.
     pub(super) fn verdict(&mut self) -> Result<(), Failure> {
         if self.digests.is_empty() {
             return Ok(());

@@ -1,4 +1,4 @@
-//! A worker's hours: at their end it finishes what it is at and gives back the rest.
+//! Working hours of a worker: at their end it finishes the running task and gives back the rest.
 
 use std::future::pending;
 use std::time::Duration;
@@ -19,7 +19,7 @@ async fn at_the_end_of_its_hours_a_worker_finishes_its_task_and_begins_none_unti
     let config = Config { time: common::time(), ..Config::default() };
     let farm = Coordinator::on(connections, config, Store::memory(), Memory::default()).await.unwrap();
     let client = Client::connect_by(&net.open(), "http://farm:7878").await.unwrap();
-    // Eight tiles of a second each; off duty from the third second to the tenth.
+    // Eight tiles of a second each. The worker is off duty from the third second to the tenth.
     let (spec, bundle) = job_of(4, 8);
     client.put(bundle.into()).await.unwrap();
     let id = client.submit(None, spec).await.unwrap();

@@ -1,7 +1,7 @@
-//! A worker is free for other tasks within a second of a cancellation, whatever the cancelled task is at.
+//! A worker is free for other tasks within a second of a cancellation, whatever the cancelled task is doing.
 //!
-//! The tests hold the order of events, which no load of the machine changes: the other job is done while the cancelled task would
-//! still go on. They print how long it took.
+//! The tests check the order of events, which does not depend on the load of the machine: the other job finishes while the
+//! cancelled task would still run. They print how long it took.
 
 use crate::common;
 
@@ -19,17 +19,17 @@ use femc_pipeline::{Method, Settings, Source, Stop};
 use femc_proto::Client;
 use femc_worker::{Metrics, Worker};
 
-/// The most that a test waits for something that happens at once on an idle machine.
+/// Time limit for an event that is immediate on an idle machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Threads whose tasks were cancelled and that run on.
+/// Returns the number of abandoned threads, which still run a cancelled task.
 fn left_behind(metrics: &Metrics) -> u64 {
     let page = metrics.report().page;
     let line = page.lines().find_map(|line| line.strip_prefix("femc_worker_threads_left_behind "));
     line.expect("the number of threads").parse().unwrap()
 }
 
-/// Waits until no cancelled task runs on.
+/// Waits until no cancelled task runs any longer.
 async fn all_ended(metrics: &Metrics) {
     let begun = Instant::now();
     while left_behind(metrics) > 0 {
@@ -38,7 +38,7 @@ async fn all_ended(metrics: &Metrics) {
     }
 }
 
-/// From the cancellation to the end of a small job that waited behind the cancelled one.
+/// Returns the time from the cancellation to the end of a small job that waited behind the cancelled one.
 async fn free_after_cancel(client: &Client, endless: JobId) -> Duration {
     let (spec, bundle) = common::job(1);
     client.put(bundle.into()).await.unwrap();
@@ -63,7 +63,7 @@ async fn a_cancelled_task_that_renders_ends_even_in_the_middle_of_a_pixel() {
     let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
     let metrics = config.metrics.clone();
     let worker = tokio::spawn(Worker::run(config, pending()));
-    // A pixel of it takes minutes.
+    // One pixel of this job takes minutes.
     let (spec, bundle) = common::job(1 << 24);
     client.put(bundle.into()).await.unwrap();
     let endless = client.submit(None, JobSpec { priority: 60, ..spec }).await.unwrap();
@@ -77,7 +77,7 @@ async fn a_cancelled_task_that_renders_ends_even_in_the_middle_of_a_pixel() {
     farm.stop().await.unwrap();
 }
 
-/// A scene of so many triangles, as a bundle.
+/// Returns a bundle with a scene of `triangles` triangles.
 fn large(triangles: u32) -> Bundle {
     let mut text = String::from(
         "camera main =\n    origin 0 -3 1\n    target 0 0 0\n    fov 40\n    film 32 16\nm a =\n    ed 1\n",
@@ -96,7 +96,7 @@ fn large(triangles: u32) -> Bundle {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_worker_that_prepares_a_large_scene_is_free_before_the_scene_is_ready() {
     let settings = Settings { stop: Stop::Spp(1), ..Settings::default() };
-    // A scene that takes more than three seconds to read and prepare here, whatever machine and build this is.
+    // Find a scene that takes more than three seconds to read and prepare on this machine with this build.
     let mut triangles = 20_000;
     let (bundle, alone) = loop {
         let bundle = large(triangles);
@@ -137,7 +137,7 @@ async fn a_worker_that_prepares_a_large_scene_is_free_before_the_scene_is_ready(
     farm.stop().await.unwrap();
 }
 
-/// The haze and so many balls in it, as a bundle.
+/// Returns a bundle with a scene of haze and `count` balls.
 fn balls(count: u32) -> Bundle {
     let mut text = String::from(common::SCENE);
     text.push_str("m gray\n");
@@ -151,7 +151,7 @@ fn balls(count: u32) -> Bundle {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_first_pass_ends_when_it_is_cancelled() {
     let settings = Settings { stop: Stop::Spp(1), method: Method::Fem, ..Settings::default() };
-    // A first pass that takes more than three minutes here, whatever machine and build this is: one of a 64th of its balls takes more
+    // Find a first pass that takes more than three minutes on this machine with this build: one with a 64th of its balls takes more
     // than three seconds.
     let mut count = 8;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();

@@ -1,4 +1,4 @@
-//! A real coordinator and real workers over loopback: the pixels depend on the job alone.
+//! Tests with a real coordinator and real workers over loopback: the pixels depend only on the job.
 
 use crate::common;
 
@@ -57,7 +57,7 @@ fn settings(stop: Stop) -> Settings {
     Settings { stop, max_depth: 4, ..Settings::default() }
 }
 
-/// The job, and the bundle that goes with it.
+/// Returns the job and its bundle.
 fn job(scene: &str, settings: &Settings) -> (JobSpec, Vec<u8>) {
     let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), scene.as_bytes().to_vec())])).encode().unwrap();
     let grid = Grid { film: [48, 32], tile: 16 };
@@ -88,7 +88,7 @@ fn worker(farm: &Handle, threads: usize) -> JoinHandle<()> {
     tokio::spawn(async { Worker::run(config, pending()).await.unwrap() })
 }
 
-/// Waits until the job's status is as wanted; the last status if it ends before.
+/// Waits until the job's status is as wanted. Returns the last status, also if the job ends before.
 async fn until(client: &Client, job: JobId, wanted: impl Fn(&JobStatus) -> bool) -> JobStatus {
     let mut watch = client.watch(job).await.unwrap();
     let mut last = None;
@@ -102,7 +102,7 @@ async fn until(client: &Client, job: JobId, wanted: impl Fn(&JobStatus) -> bool)
     last.unwrap()
 }
 
-/// The same job, whose frames are put together from groups of so many tiles.
+/// Returns the job of [`job`] with frames assembled from groups of `fan` tiles.
 fn grouped(settings: &Settings, fan: u32) -> (JobSpec, Vec<u8>) {
     let (spec, bundle) = job(SCENE, settings);
     let tiling = Tiling::new(spec.grid.film[0], spec.grid.film[1], spec.grid.tile).unwrap();
@@ -124,7 +124,7 @@ async fn pixels(client: &Client, job: JobId) -> Vec<String> {
     digests
 }
 
-/// The frames as one worker of one thread renders them.
+/// Returns the frames as one worker with one thread renders them.
 async fn reference(stop: Stop) -> Vec<String> {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
@@ -157,7 +157,7 @@ async fn three_workers_of_which_one_vanishes_render_the_pixels_of_one() {
     farm.stop().await.unwrap();
 }
 
-/// All that a frame's file holds but what differs from run to run, and its record without seconds.
+/// Returns each frame's file without what differs from run to run, and its record without seconds.
 async fn contents(client: &Client, job: JobId) -> Vec<(String, FrameRecord)> {
     let mut contents = Vec::new();
     for frame in client.frames(job).await.unwrap() {
@@ -168,7 +168,7 @@ async fn contents(client: &Client, job: JobId) -> Vec<(String, FrameRecord)> {
     contents
 }
 
-/// Digest of all channels, and the attributes but for the seconds.
+/// Returns a digest of all channels, and the attributes without the seconds.
 fn exr_layers(bytes: &[u8]) -> String {
     use ::exr::prelude::*;
     let image = read().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
@@ -181,7 +181,7 @@ fn exr_layers(bytes: &[u8]) -> String {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_frame_of_groups_is_the_frame_of_all_its_tiles_to_the_bit_over_several_rounds_too() {
-    // An error that is never reached: all rounds run.
+    // This error is never reached, so all rounds run.
     for stop in [Stop::Spp(8), Stop::Error(0.05)] {
         let mut all = Vec::new();
         for fan in [256, 1, 4] {
@@ -241,14 +241,14 @@ async fn a_frame_goes_on_round_by_round_until_its_error_is_reached() {
     let status = until(&client, id, |_| false).await;
     assert_eq!(status.state, JobState::Done, "{status:?}");
     let frames = client.frames(id).await.unwrap();
-    // What decides is a careful bound by one half; what is claimed is an estimate by both.
+    // The decision uses a conservative bound from one half of the samples. The reported error is an estimate from both halves.
     assert!(frames.iter().all(|frame| frame.relative_error.unwrap() <= 1.2 * 0.03), "{frames:?}");
     assert!(frames.iter().any(|frame| frame.spp > 16), "more than one round: {frames:?}");
     workers.iter().for_each(JoinHandle::abort);
     farm.stop().await.unwrap();
 }
 
-/// A wall that glows over the left half of the picture, which is calm; fog behind it, which is not.
+/// A glowing wall in the left half of the picture, without noise; fog behind it, with noise.
 const HALVES: &str = "
 v k =
     p -4 -1.2 -3
@@ -262,7 +262,7 @@ m bright
 f k l o q
 ";
 
-/// Colors and samples of the pixels of a frame, by tile.
+/// Returns the colors and sample counts of a frame's pixels, by tile.
 fn tiles(bytes: &[u8]) -> Vec<Vec<([f32; 3], u32)>> {
     use ::exr::prelude::*;
     let file = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
@@ -277,7 +277,7 @@ fn tiles(bytes: &[u8]) -> Vec<Vec<([f32; 3], u32)>> {
     Tiling::new(48, 32, 16).unwrap().rects().map(|rect| rect.pixels().map(pixel).collect()).collect()
 }
 
-/// Samples a pixel of each tile of the first frame, by what was noted of the attempts at its tasks.
+/// Returns the samples per pixel of each tile of the first frame, from the records of its attempts.
 async fn drawn(client: &Client, job: JobId) -> Vec<u32> {
     let (shape, attempts) = client.attempts(job).await.unwrap();
     let (number, template) = shape.spec.graph.main().unwrap();
@@ -292,7 +292,7 @@ async fn drawn(client: &Client, job: JobId) -> Vec<u32> {
     counts
 }
 
-/// The job of the two halves in three rounds, in groups of so many tiles.
+/// Returns the job of the two halves in three rounds, in groups of `fan` tiles.
 fn halves(stop: Stop, fan: u32) -> (JobSpec, Vec<u8>) {
     let settings = settings(stop);
     let (spec, bundle) = job(&format!("{SCENE}{HALVES}"), &settings);
@@ -310,7 +310,7 @@ fn halves(stop: Stop, fan: u32) -> (JobSpec, Vec<u8>) {
 async fn calm_tiles_get_fewer_samples_and_the_frame_is_the_same_whoever_renders_it_in_whatever_parts() {
     let stop = Stop::Error(0.012);
     let mut all = Vec::new();
-    // One worker; three, of which one vanishes when a round is over; grains of few samples, in groups of two tiles.
+    // One worker; three workers, of which one vanishes at the end of a round; sample chunks of few samples, in groups of two tiles.
     for (workers, fan, grain) in [(1, 256, 1_u64 << 15), (3, 256, 1 << 15), (3, 2, 1 << 9)] {
         let mut config = Config::default();
         config.scheduler.grain = grain.try_into().unwrap();
@@ -333,10 +333,10 @@ async fn calm_tiles_get_fewer_samples_and_the_frame_is_the_same_whoever_renders_
         assert!((0..6).all(|tile| drawn[tile] >= counts[tile]), "the statistics know each task's tile");
         if all.len() == 1 {
             assert!(found.iter().zip(&counts).all(|(tile, count)| tile.iter().all(|pixel| pixel.1 == *count)));
-            // The wall alone, and the rest; a tile at the wall's edge is of either kind.
+            // Tiles with only the wall, and the others. A tile at the wall's edge may be of either kind.
             assert_eq!((counts[0], counts[3], counts[2], counts[5]), (16, 16, 64, 64), "{counts:?}");
             assert_eq!(u64::from(frame.spp), counts.iter().map(|&count| u64::from(count)).sum::<u64>() / 6);
-            // Each tile is that of a frame all of whose tiles have as many samples.
+            // Each tile equals the tile of a frame in which all tiles have that many samples.
             for spp in [16, 64] {
                 let even = submit(&client, halves(Stop::Spp(spp), fan)).await;
                 until(&client, even, |_| false).await;
@@ -438,7 +438,7 @@ async fn a_worker_waits_for_its_coordinator_and_impatient_ones_give_up() {
     farm.stop().await.unwrap();
 }
 
-/// The job without fog, whose light is found by elements: the floor, and so the world, is another in each frame.
+/// Returns the job without fog and with a first pass. The floor, and therefore the world, differs in each frame.
 fn with_first_pass() -> (JobSpec, Vec<u8>) {
     let settings = Settings { stop: Stop::Spp(64), method: Method::Fem, ..Settings::default() };
     let scene = SCENE.replace("vary medium.haze.sigma_s = 0 0.05 1 0.4", "vary material.gray.rd = 0 0.1 1 0.8");
@@ -453,7 +453,7 @@ fn with_first_pass() -> (JobSpec, Vec<u8>) {
     (JobSpec { contents: spec.frames.iter().map(content).collect(), ..spec }, bundle)
 }
 
-/// Files below a folder that hold the light of a first pass.
+/// Returns the files below a folder that hold the light of a first pass.
 fn fields(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let is_field = |path: &PathBuf| std::fs::read(path).is_ok_and(|bytes| bytes.starts_with(b"FEMCFELD"));

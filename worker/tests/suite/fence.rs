@@ -1,4 +1,4 @@
-//! A worker stops counting on its leases before the coordinator can have given them to others.
+//! A worker stops relying on its leases before the coordinator can have granted them to others.
 
 use std::future::pending;
 use std::time::Duration;
@@ -14,11 +14,11 @@ use femc_worker::Worker;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, timeout};
 
-/// Milliseconds of the scripted coordinator's leases.
+/// Lease duration of the scripted coordinator, milliseconds.
 const LEASE: u64 = 1600;
 const HEARTBEAT: u64 = 100;
 
-/// The next session that the worker begins.
+/// Waits for the next session that the worker opens.
 async fn session(calls: &mut mpsc::Receiver<Call>) -> Session {
     match calls.recv().await {
         Some(Call::Session(session)) => *session,
@@ -40,7 +40,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     let config = simulated("w", net.open(), Duration::from_millis(4000));
     tokio::spawn(Worker::run(config, pending()));
 
-    // The coordinator answers for half a second, then no more.
+    // The coordinator answers for half a second, then stops.
     let mut first = session(&mut calls).await;
     let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
     let task = TaskKey { job: JobId(7), stage, index: 0 };
@@ -56,7 +56,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     while let Some(message) = first.messages.next().await {
         let FromWorker::Heartbeat { number, tasks, .. } = message.unwrap() else { panic!("only heartbeats") };
         heartbeats += 1;
-        // The first one may have gone out before the task came.
+        // The worker may have sent the first heartbeat before the task arrived.
         if number > 1 && answered.elapsed() < Duration::from_millis(LEASE - 2 * HEARTBEAT) {
             assert_eq!(tasks.len(), 1, "the lease is sure to hold");
         }
@@ -74,7 +74,8 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     assert!(heartbeats > 10, "it went on while the lease was sure to hold");
     assert!(silent < Duration::from_millis(LEASE), "it ended before the lease did: {silent:?}");
 
-    // It comes back with the lease. The task gets done, and is not reported: nobody has said that the lease holds.
+    // The worker reconnects with the lease and finishes the task. It does not report it, because the coordinator has not said that
+    // the lease holds.
     let mut second = session(&mut calls).await;
     assert_eq!(second.registration.held, [HeldLease { task, epoch, steps: 0..4, job: spec.key() }]);
     second.out.send(welcome).await.unwrap();
@@ -146,7 +147,7 @@ async fn a_partitioned_worker_costs_nothing_and_joins_again_when_the_network_is_
     };
     assert_eq!(completed("other", &client.workers().await.unwrap()), 3, "two tiles and the image");
 
-    // The cut-off worker has done both tiles meanwhile; nobody asks for them.
+    // The isolated worker has finished both tiles meanwhile, but they are no longer needed.
     way.send(Way::Open).unwrap();
     let again = async {
         loop {

@@ -1,4 +1,4 @@
-//! Workers beside a coordinator in one process, a module a topic.
+//! Tests of workers beside a coordinator in one process, one module per topic.
 
 mod availability;
 mod cancel;

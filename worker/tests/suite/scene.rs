@@ -1,4 +1,4 @@
-//! How a worker comes by a scene.
+//! Download of scenes by workers.
 
 use crate::common;
 
@@ -34,7 +34,7 @@ sph e 0.2
 ";
 
 fn scene() -> Parcel {
-    // Large enough to be a piece of its own.
+    // This file is large enough to be a piece of its own.
     let mesh = "# a comment\n".repeat(40_000);
     let files = [("main.mgf", SCENE.to_owned()), ("lamp.mgf", LAMP.to_owned()), ("mesh.mgf", mesh)];
     let files = files.map(|(path, text)| (path.to_owned(), text.into_bytes()));
@@ -88,7 +88,7 @@ async fn a_second_job_of_a_scene_downloads_nothing() {
         let first = client.submit(None, spec(&scene, 1)).await.unwrap();
         assert_eq!(done(&client, first).await.state, JobState::Done, "{name}");
         assert_eq!(pieces.fetched(), scene.size(), "{name}: all of it, once");
-        // Other settings: the scene is read anew.
+        // Different settings, so the scene is read again.
         let second = client.submit(None, spec(&scene, 2)).await.unwrap();
         assert_eq!(done(&client, second).await.state, JobState::Done, "{name}");
         assert_eq!(pieces.fetched(), scene.size(), "{name}: nothing more");

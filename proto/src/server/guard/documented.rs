@@ -1,4 +1,4 @@
-//! Every call's comment in the .proto says who may call it; the guard says the same.
+//! Tests that the guard grants every call to exactly the roles in the call's .proto comment.
 
 use femc_service::Right;
 use femc_trust::Role;
@@ -8,13 +8,13 @@ use prost_types::FileDescriptorSet;
 use super::operation;
 use crate::wire;
 
-/// Path of each call, and who may call it by the comment: the words after "Who may:".
+/// Returns the path of each call with its documented callers: the words after "Who may:" in its comment.
 fn documented() -> Vec<(String, String)> {
     let all = FileDescriptorSet::decode(wire::DESCRIPTORS).expect("a descriptor");
     let mut found = Vec::new();
     for file in &all.file {
         for place in file.source_code_info.iter().flat_map(|info| &info.location) {
-            // The n-th call (field 2) of the m-th service (field 6).
+            // This is the n-th call (field 2) of the m-th service (field 6).
             let [6, m, 2, n] = place.path[..] else { continue };
             let service = &file.service[m as usize];
             let path = format!("/{}.{}/{}", file.package(), service.name(), service.method[n as usize].name());
@@ -36,7 +36,7 @@ fn who_may_call_by_the_documentation_may_call() {
             "workers, viewers" => Right::WorkerOrUser(Role::Viewer),
             "workers, submitters" => Right::WorkerOrUser(Role::Submitter),
             "viewers" => Right::User(Role::Viewer),
-            // Whose job it is decides the call itself.
+            // The call itself checks who owns the job.
             "submitters" | "the job's owner, if a submitter" => Right::User(Role::Submitter),
             "operators" => Right::User(Role::Operator),
             "admins" => Right::User(Role::Admin),

@@ -1,4 +1,4 @@
-//! Every role against every call, over real encrypted connections, by certificate and by token.
+//! Tests every role against every call, over real encrypted connections, with certificates and tokens.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -20,7 +20,7 @@ use femc_model::Refusal;
 
 const HOLDERS: [&str; 6] = ["coordinator", "worker", "viewer", "submitter", "operator", "admin"];
 
-/// Who may call what.
+/// Allowed calls of each role.
 const TABLE: [(&str, &[&str]); 19] = [
     ("Jobs/Submit", &["submitter", "operator", "admin"]),
     ("Jobs/List", &["viewer", "submitter", "operator", "admin"]),
@@ -43,7 +43,7 @@ const TABLE: [(&str, &[&str]); 19] = [
     ("Artifacts/Collect", &["admin"]),
 ];
 
-/// A server that answers whoever gets past the guard that it is stopping.
+/// A server without a coordinator: every call that passes the guard fails with "unavailable".
 struct Farm {
     folder: tempfile::TempDir,
     authority: Authority,
@@ -83,7 +83,7 @@ impl Farm {
         Client::connect_by(&Dial::tcp().bearing(pass), &self.url()).await
     }
 
-    /// What lists jobs with this header, which may be no token at all.
+    /// Returns the status of a `List` call with this authorization header, which need not be a token.
     async fn listing(&self, authorization: &str) -> Status {
         let authority = issue(&self.authority, "viewer", 1);
         let tls = tls::known_by(authority.authority());
@@ -91,7 +91,7 @@ impl Farm {
     }
 }
 
-/// Past the guard there is nobody.
+/// Checks that the call passed the guard; behind it, no coordinator answers.
 fn is_in<T>(heard: &Result<T, CallError>) -> bool {
     matches!(heard, Err(CallError::Refused(Refusal::Unavailable { .. })))
 }
@@ -109,7 +109,7 @@ fn issue(authority: &Authority, kind: &str, days: u32) -> Identity {
     authority.issue(&Issue { holder: holder(kind), hosts: vec![], days }).unwrap()
 }
 
-/// Bytes as they are.
+/// A codec that passes bytes unchanged.
 #[derive(Debug, Default, Clone, Copy)]
 struct Raw;
 
@@ -149,7 +149,7 @@ impl Decoder for Raw {
     }
 }
 
-/// What an empty message gets.
+/// Returns the status of a call with an empty message.
 async fn outcome(url: &str, tls: ClientTlsConfig, authorization: Option<&str>, call: &str) -> Status {
     let endpoint = tonic::transport::Endpoint::from_shared(url.to_owned()).unwrap().tls_config(tls).unwrap();
     let mut grpc = tonic::client::Grpc::new(endpoint.connect().await.unwrap());
@@ -283,7 +283,7 @@ async fn who_calls_without_end_is_slowed_down_then_refused_and_others_are_not() 
     let refused = |heard: &Result<_, CallError>| matches!(heard, Err(CallError::Refused(Refusal::TooLarge { what, limit: 10 })) if what.contains("admin a-admin"));
     let passed = outcomes.iter().filter(|heard| is_in(heard)).count();
     assert_eq!(passed + outcomes.iter().filter(|heard| refused(heard)).count(), 60, "{outcomes:?}");
-    // Five at once, ten after waiting, and what a slow machine's time brings.
+    // Five calls at once, ten after waiting, and more on a slow machine.
     let most = 15 + 10 * (1 + begun.elapsed().as_secs() as usize);
     assert!((15..=most).contains(&passed), "{passed} passed");
     assert!(is_in(&bob.list().await), "another caller is another matter");
@@ -311,7 +311,7 @@ async fn who_does_not_belong_is_not_let_in() {
 
     let other = Authority::init(&farm.folder.path().join("other"), "farm").unwrap();
     let expired = issue(&farm.authority, "admin", 0);
-    // Certificates count whole seconds.
+    // Certificate times have a resolution of a second.
     tokio::time::sleep(std::time::Duration::from_millis(1100)).await;
     for (what, identity) in [("another authority's", issue(&other, "admin", 1)), ("expired", expired)] {
         let heard = async { farm.client(identity).await?.list().await }.await;

@@ -1,4 +1,4 @@
-//! A small job, and networks in memory that a test can hold up. Time is tokio's: paused, it goes on when all wait.
+//! A small job, and in-memory networks that a test can interrupt. Time is tokio's: while paused, it advances when all tasks wait.
 #![allow(dead_code)] // every test file uses its own part of this
 
 use std::collections::BTreeMap;
@@ -48,7 +48,7 @@ m bright
 sph e 0.2
 ";
 
-/// The stages of frames of these tiles.
+/// Returns the stages of frames with this grid.
 pub fn graph(grid: Grid, settings: &Settings) -> Graph {
     let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile).unwrap();
     femc_worker::graph(&femc_pipeline::stages(
@@ -59,12 +59,12 @@ pub fn graph(grid: Grid, settings: &Settings) -> Graph {
     ))
 }
 
-/// A job of one frame of two tiles, and its bundle.
+/// Returns a job of one frame of two tiles, and its bundle.
 pub fn job(spp: u32) -> (JobSpec, Vec<u8>) {
     job_of(spp, 16)
 }
 
-/// The same, in tiles of another edge.
+/// Returns the job of [`job`] with tiles of edge length `tile`.
 pub fn job_of(spp: u32, tile: u32) -> (JobSpec, Vec<u8>) {
     let grid = Grid { film: [32, 16], tile };
     let settings = Settings { stop: Stop::Spp(spp), max_depth: 4, ..Settings::default() };
@@ -86,18 +86,18 @@ pub fn job_of(spp: u32, tile: u32) -> (JobSpec, Vec<u8>) {
     (spec, bundle)
 }
 
-/// Where a server takes connections from.
+/// Stream of a server's incoming connections.
 pub type Connections = UnboundedReceiverStream<io::Result<Link>>;
 
-/// The way to a server in memory.
+/// An in-memory network to a server.
 #[derive(Debug, Clone)]
 pub struct Net(mpsc::UnboundedSender<io::Result<Link>>);
 
-/// Whether bytes pass.
+/// State of a network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     Open,
-    /// They are kept back; nobody hears of it.
+    /// Bytes are held back without an error on either side.
     Frozen,
 }
 
@@ -107,7 +107,7 @@ impl Net {
         (Self(send), UnboundedReceiverStream::new(receive))
     }
 
-    /// Connections on which bytes pass while `way` says so.
+    /// Returns a dialer whose connections pass bytes while `way` is open.
     pub fn dial(&self, way: watch::Receiver<Way>) -> Dial {
         let net = self.clone();
         Dial::by(move |_, _| {
@@ -123,7 +123,7 @@ impl Net {
         })
     }
 
-    /// The same, always open.
+    /// Returns a dialer whose connections are always open.
     pub fn open(&self) -> Dial {
         self.dial(watch::channel(Way::Open).1)
     }
@@ -132,7 +132,7 @@ impl Net {
 async fn relay(mut from: ReadHalf<DuplexStream>, mut to: WriteHalf<DuplexStream>, mut way: watch::Receiver<Way>) {
     let mut bytes = vec![0; 1 << 16];
     while let Ok(count @ 1..) = from.read(&mut bytes).await {
-        // Without anybody who could change it, it stays as it is.
+        // Without a sender, the state stays as it is.
         if way.wait_for(|way| *way == Way::Open).await.is_err() && *way.borrow() == Way::Frozen {
             std::future::pending::<()>().await;
         }
@@ -143,7 +143,7 @@ async fn relay(mut from: ReadHalf<DuplexStream>, mut to: WriteHalf<DuplexStream>
     let _ = to.shutdown().await;
 }
 
-/// A worker whose render tasks take `render` of the simulated time.
+/// Returns a worker whose render tasks take `render` of simulated time.
 pub fn simulated(name: &str, dial: Dial, render: Duration) -> Config {
     let pace = Pace::by(
         move |assignment| {
@@ -161,7 +161,7 @@ pub fn simulated(name: &str, dial: Dial, render: Duration) -> Config {
     }
 }
 
-/// The clock that the paused time moves.
+/// Returns the clock that follows the paused time.
 pub fn time() -> femc_coordinator::Time {
     let started = Arc::new(tokio::time::Instant::now());
     femc_coordinator::Time::by(move || started.elapsed())

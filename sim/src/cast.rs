@@ -225,7 +225,7 @@ fn errand(rng: &mut SmallRng, most: usize, special: Option<Stage>) -> anyhow::Re
 }
 
 /// Draws two more people in every fourth world. The tasks of one take milliseconds, those of the other seconds. Each has frames to
-/// finish while the other's tasks wait. An own random sequence keeps the other worlds unchanged.
+/// finish while the other's tasks wait. A separate random sequence keeps the other worlds unchanged.
 fn paced(seed: u64) -> anyhow::Result<Vec<(Errand, Duration)>> {
     let mut rng = SmallRng::seed_from_u64(seed ^ 0x0c0d_7e30);
     if rng.random_range(0..4) > 0 {

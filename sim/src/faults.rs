@@ -40,53 +40,53 @@ pub(crate) const COORDINATORS: usize = 2;
 /// A fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// Kills a worker, and restarts it later.
+    /// Crash of a worker, with a later restart.
     WorkerDies(usize, Duration),
-    /// Kills all workers but this one, on which every task fails. Later the others restart and this worker recovers.
+    /// Crash of all workers but this one, on which every task fails. Later the others restart and this worker recovers.
     AloneAndSick(usize, Duration),
-    /// Kills the leading coordinator, and restarts it later.
+    /// Crash of the leading coordinator, with a later restart.
     CoordinatorDies(Duration),
-    /// Kills the coordinator in its n-th write from now on, before the batch is on the disk.
+    /// Crash of the coordinator in its n-th write from now on, before the batch is on the disk.
     DiesBeforeWrite(u32),
-    /// Kills the coordinator in its n-th write from now on, when half of the batch is on the disk.
+    /// Crash of the coordinator in its n-th write from now on, when half of the batch is on the disk.
     TornWrite(u32),
-    /// Kills the coordinator in its n-th write from now on, after the batch is on the disk and before any acknowledgement.
+    /// Crash of the coordinator in its n-th write from now on, after the batch is on the disk and before any acknowledgement.
     DiesAfterWrite(u32),
-    /// Makes the other coordinator the leader, while the previous leader continues as before.
+    /// Change of the leader, while the previous leader continues as before.
     LeadChanges,
-    /// Drops all messages between a worker and the switch.
+    /// Loss of all messages between a worker and the switch.
     WorkerCut(usize, Duration),
-    /// Drops all messages from a worker. The worker still receives messages.
+    /// Loss of all messages from a worker. The worker still receives messages.
     WorkerMute(usize, Duration),
-    /// Drops all messages between the coordinators and the switch.
+    /// Loss of all messages between the coordinators and the switch.
     CoordinatorCut(Duration),
-    /// Freezes a worker: messages from it and to it are delayed.
+    /// Freeze of a worker: messages from it and to it are delayed.
     WorkerFreezes(usize, Duration),
-    /// Freezes the coordinators.
+    /// Freeze of the coordinators: messages between them and the switch are delayed.
     CoordinatorFreezes(Duration),
-    /// Delays messages by up to the first duration, for the second duration.
+    /// Slow network: latency up to the first duration, for the second duration.
     Slow(Duration, Duration),
-    /// Fails this number of writes of the log for lack of space.
+    /// Full disk: this number of writes of the log fail.
     LogFull(u32),
-    /// Fills the store: it accepts nothing new.
+    /// Full store: it accepts nothing new.
     StoreFull(Duration),
-    /// Makes the store answer with errors only.
+    /// Unavailable store: it answers with errors only.
     StoreAway(Duration),
-    /// Delays each operation of the store by up to the first duration, for the second duration.
+    /// Slow store: each operation takes up to the first duration longer, for the second duration.
     StoreSlow(Duration, Duration),
-    /// Tears an upload to the store after a number of other uploads. Keeps the given thousandths of its bytes.
+    /// Torn upload to the store, after a number of other uploads. The given thousandths of its bytes are kept.
     UploadTorn(u32, u64),
-    /// Damages an artifact that an unfinished frame needs.
+    /// Damage of an artifact that an unfinished frame needs.
     ArtifactHarmed(Harm),
-    /// Damages the scene of a job.
+    /// Damage of the scene of a job.
     SceneHarmed(Harm),
-    /// Moves the clock of a coordinator's machine by this number of milliseconds, forward or back.
+    /// Jump of the clock of a coordinator's machine by this number of milliseconds, forward or back.
     ClockJumps(usize, i64),
-    /// Makes the clock of a coordinator's machine faster or slower by this number of thousandths.
+    /// Drift of the clock of a coordinator's machine: it is faster or slower by this number of thousandths.
     ClockDrifts(usize, i64),
-    /// Loses the log. The next coordinator begins an empty one.
+    /// Loss of the log. The next coordinator begins an empty one.
     LogLost,
-    /// Returns bytes of another artifact for one read of the store, after a number of other reads.
+    /// Wrong bytes: one read of the store, after a number of other reads, returns bytes of another artifact.
     ReadsAnother(u32),
 }
 
@@ -118,7 +118,8 @@ impl Planned {
         plan
     }
 
-    /// Adds a lone worker on which all tasks fail, in every fifth world. An own random sequence keeps the other worlds unchanged.
+    /// Adds a lone worker on which all tasks fail, in every fifth world. A separate random sequence keeps the other worlds
+    /// unchanged.
     fn add_sickness(&mut self, seed: u64) {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_51c4);
         if rng.random_range(0..5) > 0 {
@@ -143,7 +144,7 @@ impl Planned {
     }
 
     /// Adds wrong data in every third world: workers misstate sizes and bring leases of another farm, and the store returns wrong
-    /// bytes. An own random sequence keeps the other worlds unchanged.
+    /// bytes. A separate random sequence keeps the other worlds unchanged.
     fn add_lies(&mut self, seed: u64) {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_11e5);
         if rng.random_range(0..3) > 0 {

@@ -96,7 +96,7 @@ pub struct LampRow {
     pub noise: f64,
     /// Fraction of the light.
     pub light: f64,
-    /// Fraction of the connections to the lamp that were occluded.
+    /// Fraction of `records` in which an object hid the lamp.
     pub hidden: f64,
     /// Number of times that recorded paths sampled or hit the lamp.
     pub records: u64,

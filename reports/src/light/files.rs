@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// Input of a query: one frame, or merged frames.
 #[derive(Debug)]
 pub struct Unit {
-    /// The file; for a union, all of its files.
+    /// Name of the file; for a union, its first and last file.
     pub file: String,
     /// Frames in the order of seed and number; not empty.
     pub frames: Vec<Statistics>,

@@ -23,7 +23,7 @@ const COLORS: [RGBColor; 6] = [
 /// Height of a large plot and of a small one, pixels.
 const HEIGHTS: [u32; 2] = [440, 290];
 
-/// Writes the HTML file.
+/// Returns the HTML file.
 pub fn page(record: &Record, summary: &Summary) -> Result<String, ReportError> {
     let names: Vec<&str> = summary.scenes.iter().map(|scene| &*scene.scene).collect();
     let mut page = Page::new(&format!("Run time against error: {}", names.join(", ")));

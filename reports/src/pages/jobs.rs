@@ -9,14 +9,14 @@ use std::collections::BTreeSet;
 
 /// Content of a report on jobs.
 pub struct Report {
-    /// Title of the page; by default, the jobs' names.
+    /// Title of the page; by default, it is made from the jobs.
     pub title: Option<String>,
     /// Record of each job.
     pub records: Vec<JobRecord>,
 }
 
 impl Report {
-    /// Writes the HTML file.
+    /// Returns the HTML file.
     pub fn html(&self) -> Result<String, ReportError> {
         let of = |by| rows(&self.records, by);
         let (attempts, tasks, frames, workers) = (of(By::Attempt), of(By::Task), of(By::Frame), of(By::Worker));

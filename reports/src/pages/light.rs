@@ -25,7 +25,7 @@ const HEIGHT: u32 = 150;
 /// Widest picture, pixels.
 const WIDEST: u32 = 1024;
 
-/// Writes the page about the light of frames.
+/// Returns the HTML file about the light of frames.
 pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<String, ReportError> {
     let names: Vec<String> = frames.iter().map(|(path, _)| path.display().to_string()).collect();
     let mut page = Page::new(&format!("Light of {}", shortened(&names)));

@@ -1,4 +1,4 @@
-//! Timeline of workers: a lane for each worker, and a second one for the tasks that it joined.
+//! Timeline of workers: a lane for each worker's computing tasks, and a second one for its joining tasks.
 
 use super::figure::{Area, BLUE, Drawn, FONT, ORANGE, WIDTH, beyond, figure};
 use crate::ReportError;

@@ -27,10 +27,10 @@ pub struct Sight {
     pub tone: Vec<f32>,
     /// Color of the surface itself, sRGB in 0..1.
     pub local: Vec<[f32; 3]>,
-    /// Direct light on the surface, relative to the brightest light.
+    /// Direct light on the surface. The value 1 is exceeded by one pixel in fifty.
     pub light: Vec<f32>,
-    /// Direct light balanced between objects: a weakly lit object is painted half as dark as it is. The light is divided by the
-    /// square root of the object's brightest light.
+    /// Direct light divided by the square root of the object's brightest light, so that weakly lit objects are painted half as dark
+    /// as they are.
     pub lit: Vec<f32>,
     /// Light from other surfaces, in the same unit as `light`.
     pub bounce: Vec<f32>,

@@ -34,7 +34,7 @@ impl Schema {
         let Some(message) = self.messages.get(name) else { return out };
         let chosen = rng.below(message.field.len());
         for (at, field) in message.field.iter().enumerate() {
-            // A oneof usually has one field, and rarely several, of which the last counts.
+            // Usually one field of a oneof is set. Rarely several are set, and the last one counts.
             let is_there = match field.oneof_index {
                 Some(_) if field.proto3_optional() => !rng.once_in(2),
                 Some(_) => at == chosen || rng.once_in(4 * message.field.len()),

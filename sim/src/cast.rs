@@ -156,7 +156,7 @@ struct Drills {
 }
 
 impl Drills {
-    /// Every third world has drills.
+    /// Decides whether the world has drills. Every third world has some.
     fn of(seed: u64) -> Self {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x0d51_1100);
         let are_there = rng.random_range(0..3) == 0;
@@ -184,7 +184,7 @@ struct FirstPasses {
 }
 
 impl FirstPasses {
-    /// Every third world has first passes, with or without drills.
+    /// Decides whether the world has first passes. Every third world has some, with or without drills.
     fn of(seed: u64) -> Self {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x0f12_5700);
         let are_there = rng.random_range(0..3) == 0;

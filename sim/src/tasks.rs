@@ -78,8 +78,8 @@ pub(crate) fn is_served(spec: &JobSpec, number: u16) -> bool {
         && spec.graph.readers(number).any(|(reader, _)| scope(reader) == Some(Scope::Frame))
 }
 
-/// Returns the tasks that a task reads, by stage and number, in the round that it reads. Frames' tasks that read shared stages are
-/// left out.
+/// Returns the tasks that a task reads, by stage and number, in the round that it reads. Shared stages that a frame's task reads
+/// are left out.
 /// - `last`: current round of the frame's loop. Stages behind the loop read this round.
 fn read_by(spec: &JobSpec, stage: &Stage, item: u32, last: u32) -> Vec<(Need, Stage, u32)> {
     let mut all = Vec::new();

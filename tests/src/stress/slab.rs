@@ -1,9 +1,9 @@
 //! Half spaces and slabs of scattering media (algorithm brief, T10 to T14).
 //!
 //! A slab is a box 2e4 m across. Its thickness in meters equals its thickness in mean free paths. A ceiling of luminance 1 right
-//! above illuminates it. The camera looks vertically down and sees the fraction of vertical light that the slab reflects
-//! (reciprocity). From below, it looks vertically up and sees the transmitted fraction. A patch of a millimeter receives the mean
-//! over all directions, as a fraction of the incident diffuse light: its luminance over its reflectance.
+//! above illuminates it. A camera that looks vertically down sees the fraction of vertical light that the slab reflects
+//! (reciprocity). A camera below that looks vertically up sees the transmitted fraction. A patch of a millimeter receives the mean
+//! over all directions. Its luminance over its reflectance is the fraction of the incident diffuse light.
 
 use super::Line;
 use super::measure::{Case, Effort, all};

@@ -1,8 +1,8 @@
 //! Grazing rays along edges and through vertices of closed meshes, from inside: none may get out.
 //!
-//! Meshes are star-shaped about their center, so a point of a face that is moved toward the center is inside. Each ray begins at
-//! such a point, anywhere inside or slightly below the surface. It passes through a vertex, through a point of an edge, or along an
-//! edge.
+//! Meshes are star-shaped about their center, so a vertex or a point of a face that is moved toward the center is inside. Each ray
+//! begins at such a point, anywhere inside or slightly below the surface. It passes through a vertex, through a point of an edge,
+//! or along an edge.
 
 use super::Line;
 use super::measure::Effort;

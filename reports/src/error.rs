@@ -3,7 +3,7 @@ use femc_pipeline::paths::{PathsError, UnionError};
 use parquet::errors::ParquetError;
 use std::path::{Path, PathBuf};
 
-/// Why there is no report.
+/// Reason why a report cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A figure cannot be drawn.
@@ -14,15 +14,15 @@ pub enum ReportError {
     File {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         cause: std::io::Error,
     },
-    /// A file or folder that was named cannot be read.
+    /// A file or folder given by the user cannot be read.
     #[error("{}: {cause}", path.display())]
     Named {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         cause: std::io::Error,
     },
     /// A record of a job's attempts is damaged.
@@ -30,21 +30,21 @@ pub enum ReportError {
     Record {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Error of the parser.
         cause: serde_json::Error,
     },
-    /// Something cannot be said in JSON.
+    /// A value cannot be written as JSON.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
     /// An image cannot be read, compared or written.
     #[error(transparent)]
     Film(#[from] FilmError),
-    /// A Parquet file cannot be made.
+    /// A Parquet file cannot be written.
     #[error("{}: {cause}", path.display())]
     Parquet {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Error of the Parquet library.
         cause: ParquetError,
     },
     /// A file of light statistics is damaged.
@@ -52,50 +52,50 @@ pub enum ReportError {
     Statistics {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Error of the decoder.
         cause: PathsError,
     },
-    /// Frames that were united have no union any more.
+    /// Frames that were merged cannot be merged again.
     #[error("{file}: {cause}")]
     NoUnion {
         /// The file, or the first and the last of several.
         file: String,
-        /// Why not.
+        /// Reason of the failure.
         cause: UnionError,
     },
-    /// A file of light statistics has no frame.
+    /// A file of light statistics contains no frame.
     #[error("{}: no frame is in it", .0.display())]
     NoFrame(PathBuf),
     /// A folder without light statistics.
     #[error("{}: no .paths file is in it; `femc render --stats` writes them beside frames", .0.display())]
     NoStatistics(PathBuf),
-    /// Frames that are not of one job.
+    /// Frames of different jobs.
     #[error("{file}: {cause}; only frames of one job have a union, and a frame has one content in it")]
     Union {
         /// The file that does not fit.
         file: String,
-        /// Why not.
+        /// Reason of the failure.
         cause: UnionError,
     },
-    /// A file that should hold measurements does not.
+    /// A file does not contain measurements.
     #[error("{}: no measurements by `femc bench`: {cause}; give another file, or move this one away", path.display())]
     Measurements {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Error of the parser.
         cause: serde_json::Error,
     },
-    /// Measurements in a form that this version does not read.
+    /// Measurements in an unsupported version of the file format.
     #[error("{}: form {found}, this version writes {own}; give another file", path.display())]
     MeasurementsForm {
         /// The file.
         path: PathBuf,
-        /// Its form.
+        /// Version of the file.
         found: u32,
-        /// The form of this version.
+        /// Version that this program supports.
         own: u32,
     },
-    /// Measurements that were made with something else.
+    /// Measurements with another setup.
     #[error(
         "{}: what is in it was measured with something else; give another file with -o, or move this one away. {differing}",
         path.display()
@@ -103,21 +103,21 @@ pub enum ReportError {
     MeasuredOtherwise {
         /// The file.
         path: PathBuf,
-        /// What differs.
+        /// Differences between the setups.
         differing: String,
     },
-    /// A reference that is not there.
+    /// A missing reference.
     #[error("--reference {}: no such file; give an EXR image", .0.display())]
     NoReference(PathBuf),
-    /// A reference's images are of different sizes.
+    /// Images of a reference have different sizes.
     #[error("--reference {named}: its images are of different sizes, {sizes}")]
     ReferenceSizes {
-        /// The reference, as typed.
+        /// Reference, as given.
         named: String,
         /// Both sizes, pixels.
         sizes: String,
     },
-    /// Two files beside a reference that look like its halves.
+    /// Two files beside a reference have the names of its halves, but are not.
     #[error(
         "--reference {0}: the files _A and _B beside it are not its halves: their mean is another image; move them away, or \
          give the halves themselves, A.exr,B.exr"
@@ -125,17 +125,17 @@ pub enum ReportError {
     NotHalves(String),
 }
 
-/// What is to blame for a missing report.
+/// Cause of a missing report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blame {
-    /// What was asked for: another command line helps.
+    /// The request: another command line helps.
     Usage,
     /// A file or the machine.
     Work,
 }
 
 impl ReportError {
-    /// What is to blame.
+    /// Returns the cause of the error.
     pub fn blame(&self) -> Blame {
         match self {
             Self::Named { .. }

@@ -3,7 +3,7 @@
 pub use femc_service::view::count;
 use std::fmt::Write;
 
-/// A number in about four digits.
+/// Formats a number with about four digits.
 pub fn number(x: f64) -> String {
     let size = x.abs();
     if x == 0.0 {
@@ -22,13 +22,13 @@ pub fn number(x: f64) -> String {
     }
 }
 
-/// `0.42 s`, `12.3 s`, `3 min 20 s`, `2 h 5 min`.
+/// Formats a duration: `0.42 s`, `12.3 s`, `3 min 20 s`, `2 h 5 min`.
 pub fn seconds(s: f64) -> String {
     if !s.is_finite() || s < 0.0 {
         return "?".to_owned();
     }
     if s < 10.0 {
-        // An empty sum of floating point is -0.
+        // An empty floating-point sum is -0.
         return format!("{:.2} s", s.abs());
     }
     if s < 100.0 {
@@ -42,7 +42,7 @@ pub fn seconds(s: f64) -> String {
     }
 }
 
-/// `999`, `12.3 k`, `4.56 M`, `7.89 G`: three digits that count.
+/// Formats a quantity with three significant digits: `999`, `12.3 k`, `4.56 M`, `7.89 G`.
 pub fn quantity(n: f64) -> String {
     let (scaled, unit) = match n.abs() {
         a if a >= 1e9 => (n / 1e9, " G"),
@@ -60,7 +60,7 @@ pub fn quantity(n: f64) -> String {
     format!("{scaled:.decimals$}{unit}")
 }
 
-/// `999 B`, `12.3 KiB`, `4.56 MiB`, `7.89 GiB`: three digits that count.
+/// Formats a size with three significant digits: `999 B`, `12.3 KiB`, `4.56 MiB`, `7.89 GiB`.
 pub fn bytes(n: u64) -> String {
     let n = n as f64;
     let units = [(1u64 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")];
@@ -79,24 +79,25 @@ pub fn bytes(n: u64) -> String {
     format!("{scaled:.decimals$} {unit}")
 }
 
-/// `4.2 %` of a fraction.
+/// Formats a fraction as a percentage: `4.2 %`.
 pub fn percent(fraction: f64) -> String {
     let p = fraction * 100.0;
     if p < 10.0 { format!("{p:.2} %") } else { format!("{p:.0} %") }
 }
 
-/// Whether a terminal obeys a character instead of showing it: control characters, and those that turn the direction of writing.
+/// Checks whether a terminal interprets a character instead of showing it: control characters, and those that change the writing
+/// direction.
 pub fn steers(c: char) -> bool {
     let turns = matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     c.is_control() || turns || matches!(c, '\u{2028}' | '\u{2029}')
 }
 
-/// A text that another wrote, for a terminal: what steers it is shown instead of obeyed, but for ends of lines and tabs.
+/// Makes untrusted text safe for a terminal: escapes all characters that a terminal interprets, except line feeds and tabs.
 pub fn shown(text: &str) -> String {
     escaped(text, |c| steers(c) && !matches!(c, '\n' | '\t'))
 }
 
-/// Like [`shown`], tabs too.
+/// Like [`shown`], but also escapes tabs.
 pub fn inert(text: &str) -> String {
     escaped(text, |c| steers(c) && c != '\n')
 }
@@ -112,7 +113,7 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
     })
 }
 
-/// Columns lined up, two blanks between, the header first; no blanks at line ends.
+/// Formats a table with aligned columns, two blanks apart, the header first. Lines have no trailing blanks.
 pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
     let header: Vec<String> = header.iter().map(|&cell| cell.to_owned()).collect();
     let mut widths = vec![0; header.len()];

@@ -1,10 +1,10 @@
-//! What is told of jobs, of light and of measurements: as pages, as rows of CSV and Parquet, as JSON, and in words.
+//! Reports on jobs, light and measurements: as pages, as rows of CSV and Parquet, as JSON, and as text.
 //!
-//! - [`attempts`]: what the attempts at a job's tasks took.
-//! - [`light`]: files of light statistics, what stands out in them, and the tables of their paths.
+//! - [`attempts`]: costs of the attempts at a job's tasks.
+//! - [`light`]: files of light statistics, their bottlenecks, and the tables of their paths.
 //! - [`mod@bench`]: run time against error.
-//! - [`sweep`]: the tables of a sweep's frames and variants.
-//! - [`pages`]: HTML files with their figures inside.
+//! - [`sweep`]: tables of a sweep's frames and variants.
+//! - [`pages`]: HTML files with embedded figures.
 //! - [`human`]: numbers and tables for people.
 #![deny(missing_docs)]
 

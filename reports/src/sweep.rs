@@ -9,30 +9,30 @@ use parquet::schema::types::Type;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Columns of equal length.
+/// Table with columns of equal length.
 #[derive(Debug, Default)]
 pub struct Table {
     columns: Vec<(String, Cells)>,
 }
 
-/// The cells of a column.
+/// Cells of a column.
 #[derive(Debug)]
 pub enum Cells {
-    /// Words.
+    /// Text.
     Text(Vec<String>),
-    /// Measured numbers; where there is none the cell is empty.
+    /// Measured numbers. A missing number is an empty cell.
     Number(Vec<Option<f64>>),
     /// Counts.
     Count(Vec<i64>),
 }
 
 impl Table {
-    /// Add a column on the right.
+    /// Adds a column on the right.
     pub fn add(&mut self, name: impl Into<String>, cells: Cells) {
         self.columns.push((name.into(), cells));
     }
 
-    /// Write `NAME.csv` and `NAME.parquet` into a folder.
+    /// Writes `NAME.csv` and `NAME.parquet` into a folder.
     pub fn write(&self, folder: &Path, name: &str) -> Result<(), ReportError> {
         let parquet = self.to_parquet();
         let parquet =
@@ -47,7 +47,7 @@ impl Table {
         self.columns.first().map_or(0, |(_, cells)| cells.len())
     }
 
-    /// As RFC 4180 has it, with a header and bare line feeds.
+    /// Formats the table as RFC 4180, with a header and bare line feeds.
     fn to_csv(&self) -> String {
         let line = |cells: Vec<String>| cells.join(",") + "\n";
         let header = line(self.columns.iter().map(|(name, _)| quoted(name)).collect());

@@ -1,13 +1,13 @@
-//! Plants of the greenhouse; the house itself, `greenhouse.mgf`, is written by hand.
+//! Plants of the greenhouse. The house itself, `greenhouse.mgf`, is written by hand.
 //!
-//! Leaves are bent ribbons of triangles, so that no face is warped; a plant repeats one leaf by an array at the golden angle.
+//! Leaves are bent ribbons of triangles, so that all faces are planar. A plant repeats one leaf with an array at the golden angle.
 
 use crate::{
     SceneFile,
     sheet::{Point, Sheet, polar, turn},
 };
 
-/// The generated parts.
+/// Returns the generated files.
 pub fn files() -> Vec<SceneFile> {
     [
         ("greenhouse/tomato.mgf", tomato()),
@@ -35,7 +35,7 @@ impl Leaf {
         let n = f64::from(self.segments);
         let step = self.length / n;
         let (mut x, mut z) = (self.base[0], self.base[2]);
-        // Midrib, and the two edges, a little above it: a leaf is a shallow gutter.
+        // Midrib and two edges, slightly above it: a leaf is a shallow gutter.
         let mut ribs: Vec<[Point; 3]> = Vec::new();
         for k in 0..=self.segments {
             let u = f64::from(k) / n;

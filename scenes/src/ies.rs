@@ -1,17 +1,16 @@
-//! Luminaire files of our own making, IESNA LM-63-2002, type C photometry. The distributions are invented; the files are
-//! scaled so that they carry the stated flux.
+//! Luminaire files with invented distributions, IESNA LM-63-2002, type C photometry. Their candelas are scaled to the stated flux.
 
 use femc_math::elementary::double;
 use std::f64::consts::PI;
 use std::fmt::Write;
 
-/// A road luminaire of 5000 lm, LED: throws along the road (C0, C180) and over it (C90), little behind (C270).
-/// Its luminous opening is 0.22 m along the road by 0.5 m across.
+/// A road luminaire of 5000 lm, LED. It throws light along the road (C0, C180) and over it (C90), and little behind (C270). Its
+/// luminous opening is 0.22 m along the road by 0.5 m across.
 pub fn road() -> String {
     let vertical: Vec<f64> = (0..=18).map(|k| 5.0 * f64::from(k)).collect();
     let horizontal: Vec<f64> = (0..=24).map(|k| 15.0 * f64::from(k)).collect();
     let shape = |gamma: f64, c: f64| {
-        // The peak climbs from 35 degrees behind to 62 degrees along the road; a sharp cut-off keeps glare low.
+        // The peak rises from 35 degrees behind to 62 degrees along the road. A sharp cut-off limits glare.
         let along = double::cos(c.to_radians()).abs();
         let over = double::sin(c.to_radians());
         let peak = 42.0 + 22.0 * along + 7.0 * over;
@@ -37,7 +36,7 @@ struct Head {
     name: &'static str,
     /// Width, length, height of the luminous opening, m.
     opening: [f64; 3],
-    /// lm
+    /// Luminous flux, lm.
     flux: f64,
 }
 
@@ -64,7 +63,7 @@ fn file(head: &Head, vertical: &[f64], horizontal: &[f64], shape: impl Fn(f64, f
     text
 }
 
-/// Flux of a table, lm: trapezoids in both angles, exact in the solid angle of a zone.
+/// Computes the flux of a table, lm: trapezoids in both angles, exact in the solid angle of a zone.
 fn flux(vertical: &[f64], horizontal: &[f64], rows: &[Vec<f64>]) -> f64 {
     let zone = |row: &[f64]| -> f64 {
         let steps = vertical.windows(2).zip(row.windows(2));

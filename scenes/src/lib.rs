@@ -1,8 +1,8 @@
-//! Example scenes: what this crate generates, and where the hand-written ones lie.
+//! Example scenes: generated ones, and the location of the hand-written ones.
 //!
-//! The scene files stand beside this crate's manifest (`scenes/*.mgf` and their parts in sub-folders). The short ones are
-//! written by hand; those in [`generated`] are written by this crate, deterministically, and committed, so that nobody needs
-//! the generator to render them. A test keeps both equal, byte for byte.
+//! The scene files lie beside this crate's manifest (`scenes/*.mgf` and their parts in sub-folders). The short ones are written by
+//! hand. This crate writes those in [`generated`] deterministically. They are committed, so that rendering them does not need the
+//! generator. A test keeps both equal, byte for byte.
 #![deny(missing_docs)]
 
 mod greenhouse;
@@ -16,7 +16,7 @@ mod sheet;
 pub struct SceneFile {
     /// Path relative to the scenes' folder, `/`-separated.
     pub path: String,
-    /// Its content.
+    /// Content of the file.
     pub bytes: Vec<u8>,
 }
 
@@ -29,7 +29,7 @@ impl SceneFile {
 /// Names for [`generate`], in the order of the files in [`generated`].
 pub const NAMES: [&str; 3] = ["roundabout", "greenhouse", "zoo"];
 
-/// The generated files of one scene: the scene file first where the generator writes it, then its parts.
+/// Generates the files of one scene: the scene file first where the generator writes it, then its parts.
 /// - `name`: one of [`NAMES`]; `None` for any other.
 pub fn generate(name: &str) -> Option<Vec<SceneFile>> {
     match name {
@@ -44,12 +44,12 @@ pub fn generate(name: &str) -> Option<Vec<SceneFile>> {
     }
 }
 
-/// Every generated file.
+/// Returns all generated files.
 pub fn generated() -> Vec<SceneFile> {
     NAMES.iter().filter_map(|name| generate(name)).flatten().collect()
 }
 
-/// The folder that holds the committed scenes, as it was when this crate was compiled.
+/// Returns the folder of the committed scenes, as it was when this crate was compiled.
 pub fn folder() -> &'static std::path::Path {
     std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
 }

@@ -1,6 +1,6 @@
-//! Tiny textures as PNG files, eight bits, uncompressed: so small that a deflate encoder would not pay.
+//! Tiny textures as PNG files, eight bits, uncompressed, because a deflate encoder would not pay off.
 
-/// An 8 x 8 board of warm and cool fields, 2 x 2 pixels each, with one field of another colour that shows which way is up.
+/// An 8 x 8 board of warm and cool fields, 2 x 2 pixels each, with one field of another color that shows the orientation.
 pub fn checker() -> Vec<u8> {
     let pixel = |x: u32, y: u32| match (x / 2 + y / 2) % 2 {
         _ if x < 2 && y < 2 => [220, 40, 30],

@@ -1,7 +1,7 @@
-//! A scene file being written: vertices by position, faces, prisms, and balanced transforms.
+//! Writes a scene file: vertices by position, faces, prisms, and balanced transforms.
 //!
-//! Coordinates are rounded to 0.01 mm. Vertices that coincide after rounding share one name, which is what keeps meshes small;
-//! the price is a prefix per file, because included files share one name space.
+//! Coordinates are rounded to 0.01 mm. Vertices that coincide after rounding share one name, which keeps meshes small. The price is
+//! a prefix per file, because included files share one name space.
 
 use femc_math::elementary::double;
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ pub type Point = [f64; 3];
 
 const UNITS_PER_METRE: f64 = 1e5;
 
-/// A file in the making.
+/// A file under construction.
 pub struct Sheet {
     text: String,
     prefix: &'static str,
@@ -21,12 +21,13 @@ pub struct Sheet {
 }
 
 impl Sheet {
+    /// Begins a file.
     /// - `prefix`: begins every vertex name; differs between files that include each other.
     pub fn new(prefix: &'static str) -> Self {
         Self { text: String::new(), prefix, known: BTreeMap::new(), open: 0 }
     }
 
-    /// Lines of `words`, as they stand; a last line end is added where it lacks.
+    /// Adds lines of `words` unchanged, with a line end if it is missing.
     pub fn put(&mut self, words: &str) {
         self.text.push_str(words);
         if !words.ends_with('\n') {
@@ -40,7 +41,7 @@ impl Sheet {
         self.open += 1;
     }
 
-    /// Pops the transform pushed last.
+    /// Pops the transform that was pushed last.
     pub fn close(&mut self) {
         debug_assert!(self.open > 0, "nothing is open");
         self.open -= 1;
@@ -52,24 +53,24 @@ impl Sheet {
         let _ = writeln!(self.text, "m {name}");
     }
 
-    /// Includes `path`, placed by `arguments`.
+    /// Includes `path` with the transform `arguments`.
     pub fn include(&mut self, path: &str, arguments: &str) {
         self.put(format!("i {path} {arguments}").trim_end());
     }
 
-    /// A planar polygon, counter-clockwise seen from its front.
+    /// Adds a planar polygon, counterclockwise seen from its front.
     pub fn face(&mut self, corners: &[Point]) {
         let names = self.vertices(corners);
         let _ = writeln!(self.text, "f{names}");
     }
 
-    /// A closed prism whose one end is `corners` (its normal points out) and which reaches `length` behind it.
+    /// Adds a closed prism. One end is `corners` (its normal points out), and the prism reaches `length` behind it.
     pub fn prism(&mut self, corners: &[Point], length: f64) {
         let names = self.vertices(corners);
         let _ = writeln!(self.text, "prism{names} {}", number(length));
     }
 
-    /// An upright box from `low` to `high`.
+    /// Adds an upright box from `low` to `high`.
     pub fn block(&mut self, low: Point, high: Point) {
         let z = high[2];
         self.prism(
@@ -78,7 +79,7 @@ impl Sheet {
         );
     }
 
-    /// A straight rod of regular cross-section from `start` to `end`, not both at one place.
+    /// Adds a straight rod of regular cross-section from `start` to `end`, which must differ.
     pub fn rod(&mut self, start: Point, end: Point, radius: f64, sides: u32) {
         let axis = subtract(end, start);
         let length = dot(axis, axis).sqrt();
@@ -95,7 +96,7 @@ impl Sheet {
         self.prism(&corners, length);
     }
 
-    /// The text. All transforms are closed by now.
+    /// Returns the text. All transforms must be closed.
     pub fn finish(self) -> String {
         debug_assert!(self.open == 0, "{} transforms are open", self.open);
         self.text
@@ -117,7 +118,7 @@ impl Sheet {
     }
 }
 
-/// `x` in at most five decimals.
+/// Formats `x` with at most five decimals.
 pub fn number(x: f64) -> String {
     let rounded = (x * UNITS_PER_METRE).round() as i64;
     let (whole, part) = (rounded.unsigned_abs() / 100_000, rounded.unsigned_abs() % 100_000);
@@ -129,28 +130,28 @@ pub fn number(x: f64) -> String {
     }
 }
 
-/// Sine and cosine of `degrees`.
+/// Returns sine and cosine of `degrees`.
 pub fn turn(degrees: f64) -> (f64, f64) {
     double::sin_cos(degrees.to_radians())
 }
 
-/// The point at `radius`, `degrees` about z, and height `z`.
+/// Returns the point at `radius`, `degrees` about z, and height `z`.
 pub fn polar(radius: f64, degrees: f64, z: f64) -> Point {
     let (s, c) = turn(degrees);
     [radius * c, radius * s, z]
 }
 
-/// a + b
+/// Computes a + b.
 pub fn add(a: Point, b: Point) -> Point {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
-/// a - b
+/// Computes a - b.
 pub fn subtract(a: Point, b: Point) -> Point {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// f a
+/// Computes f a.
 pub fn scale(a: Point, f: f64) -> Point {
     a.map(|x| x * f)
 }

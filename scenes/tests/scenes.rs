@@ -1,11 +1,11 @@
-//! What the committed scenes promise.
+//! Checks the properties of the committed scenes.
 
 use femc_import::{Loaded, load_path};
 use femc_scene::{GroupId, Scene, Severity};
 use femc_scenes::{folder, generated};
 use std::fs;
 
-/// Names of the scene files that stand at the top of the folder.
+/// Returns the names of the scene files at the top of the folder.
 fn scenes() -> Vec<String> {
     let entries = fs::read_dir(folder()).expect("the scenes' folder");
     let names = entries.map(|e| e.expect("an entry").file_name().into_string().expect("UTF-8"));
@@ -18,7 +18,7 @@ fn load(name: &str) -> Loaded {
     load_path(&folder().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// Sum of `count` over everything placed in the world, with its placements.
+/// Sums `count` over everything placed in the world, weighted by its placements.
 fn total(scene: &Scene, count: &dyn Fn(&Scene, GroupId) -> usize) -> usize {
     fn below(scene: &Scene, group: GroupId, count: &dyn Fn(&Scene, GroupId) -> usize) -> usize {
         let inner = scene.groups[group.index()].instances.iter().map(|i| below(scene, i.group, count));
@@ -91,7 +91,7 @@ fn the_roundabout_is_a_drive_of_120_frames_past_forty_lamps_and_nine_thousand_po
     assert_eq!(faces_of(&scene, "lamp"), 40);
     let driver = &scene.cameras[0];
     assert!(driver.along.is_some());
-    // The eye goes from south of the ring to west of it.
+    // The eye moves from south of the ring to west of it.
     let paths = &scene.paths;
     let (first, last) = (driver.at(paths, scene.frame_time(1)), driver.at(paths, scene.frame_time(120)));
     assert!(first.origin.y < -30.0 && last.origin.x < -30.0, "{} {}", first.origin, last.origin);

@@ -1,4 +1,4 @@
-//! What must be true after a run, whatever happened in it.
+//! Checks that must hold after every run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -13,10 +13,10 @@ use crate::leases::Leases;
 use crate::shared::{Reports, State};
 use crate::tasks::{Tally, Unit, counted};
 
-/// Something that must never be.
+/// A broken guarantee of the farm.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Violation {
-    /// Somebody's jobs did not come to their end in time.
+    /// Jobs of some people did not end in time.
     #[error("{jobs} people still wait for their jobs")]
     Unfinished {
         /// Number of people whose jobs have not ended.
@@ -25,46 +25,46 @@ pub enum Violation {
     /// A job did not end within its time.
     #[error("after {seconds} s it has not ended: {state}")]
     Stuck {
-        /// So long somebody waited.
+        /// Seconds that a person waited.
         seconds: u64,
-        /// What the farm says of it.
+        /// State of the job as the farm reports it.
         state: String,
     },
-    /// It ended otherwise than done.
+    /// A job did not end as done.
     #[error("the job ended as {state}")]
     Failed {
-        /// As what.
+        /// State in which the job ended.
         state: String,
     },
-    /// A frame's result is not that of one process: its pixels, or its answer.
+    /// The result of a frame (pixels or drill answer) differs from that of a single process.
     #[error("frame {frame} came out as {found}, not as {expected}")]
     Result {
         /// Position among the job's frames.
         frame: usize,
-        /// Digest.
+        /// Digest of the result.
         found: String,
-        /// Digest.
+        /// Digest of the result of a single process.
         expected: String,
     },
-    /// The log counts a result twice: samples of a tile, or a task that is not cut.
+    /// The log counts a result twice: samples of a tile, or a whole task.
     #[error("{task} counts twice, in part at least: under epoch {} and under {}", .epochs[0].0, .epochs[1].0)]
     Twice {
         /// The task.
         task: TaskKey,
-        /// Of its two results.
+        /// Epochs of the two results.
         epochs: [Epoch; 2],
     },
-    /// The log counts a task that reads what is not done, like samples of its round.
+    /// The log counts a task whose inputs are not done, for example samples of its round.
     #[error("{task} counts, and step {step} of task {item}, which it reads, does not")]
     Missing {
-        /// The one that reads it.
+        /// The task that reads the input.
         task: TaskKey,
-        /// The task that was to do it, by its number.
+        /// Number of the task that makes the input.
         item: u32,
-        /// Of that task.
+        /// Step of that task.
         step: u32,
     },
-    /// A result was acknowledged, and the log does not have it.
+    /// A result was acknowledged, but is not in the log.
     #[error("{task} under epoch {} was acknowledged and is not in the log", .epoch.0)]
     Forgotten {
         /// The task.
@@ -72,7 +72,7 @@ pub enum Violation {
         /// Epoch of its lease.
         epoch: Epoch,
     },
-    /// The log counts a result that nobody was asked for.
+    /// The log counts a result without a lease.
     #[error("{task} under epoch {} counts and was never leased", .epoch.0)]
     Unleased {
         /// The task.
@@ -80,49 +80,49 @@ pub enum Violation {
         /// Epoch of its result.
         epoch: Epoch,
     },
-    /// A result counts although its lease was over: the task had been given out anew.
+    /// A result counts although its lease was over, because the task had been leased again.
     #[error("{task} counts under epoch {}, and was leased anew under {}", .epoch.0, .later.0)]
     Superseded {
         /// The task.
         task: TaskKey,
         /// Epoch of its result.
         epoch: Epoch,
-        /// Of the lease that held.
+        /// Epoch of the valid lease.
         later: Epoch,
     },
-    /// A result counts in a frame of another build of the engine.
+    /// A result of one engine build counts in a frame of another build.
     #[error("{task} counts under epoch {}, of the build {build:?} in a frame of the build {frame:?}", .epoch.0)]
     Foreign {
         /// The task.
         task: TaskKey,
         /// Epoch of its lease.
         epoch: Epoch,
-        /// Of its worker; empty: nobody's.
+        /// Build of the worker; empty if it has none.
         build: String,
-        /// Of its frame; empty: none yet.
+        /// Build of the frame; empty if it has none yet.
         frame: String,
     },
-    /// A frame that was of one build is of another, and has not begun anew.
+    /// A frame changed its engine build without a restart.
     #[error("frame {frame} of job {job} was of the build {:?} and is of {:?}", .builds[0], .builds[1])]
     Rebuilt {
         /// The job.
         job: JobId,
         /// Frame number.
         frame: u32,
-        /// Before, and now.
+        /// Earlier and present build.
         builds: [String; 2],
     },
-    /// A result counts, and what it took was noted more often or less.
+    /// A counted result has too few or too many attempt records.
     #[error("{task} under epoch {} counts, and what it took was noted {times} times", .epoch.0)]
     Noted {
         /// The task.
         task: TaskKey,
         /// Epoch of its lease.
         epoch: Epoch,
-        /// Number of notes.
+        /// Number of attempt records.
         times: u64,
     },
-    /// What an attempt took was noted as that of a result, which does not count.
+    /// An attempt record says that the attempt is done, but the result does not count.
     #[error("what {task} took under epoch {} was noted as that of a result, and it does not count", .epoch.0)]
     NotedForNothing {
         /// The task.
@@ -130,17 +130,17 @@ pub enum Violation {
         /// Epoch of its lease.
         epoch: Epoch,
     },
-    /// The job's account does not agree with what was done.
+    /// A job's account differs from what was done.
     #[error("the account says {found} {what}, it should be {expected}")]
     Account {
         /// Name of the quantity.
         what: &'static str,
         /// Value in the account.
         found: u64,
-        /// Value that it should have.
+        /// Expected value.
         expected: u64,
     },
-    /// One of many jobs went wrong.
+    /// A violation in one of many jobs.
     #[error("job {job}: {violation}")]
     OfJob {
         /// The job.
@@ -148,37 +148,37 @@ pub enum Violation {
         /// The violation.
         violation: Box<Violation>,
     },
-    /// What should stay as it is has grown.
+    /// A quantity grew that should stay constant.
     #[error("{what} grew from {before} to {after} on the average")]
     Growth {
         /// Name of the quantity.
         what: &'static str,
-        /// In the first half.
+        /// Mean of the first half.
         before: u64,
-        /// In the second half.
+        /// Mean of the second half.
         after: u64,
     },
-    /// A coordinator began under a number under which another one had begun.
+    /// A coordinator began with a number that an earlier one had used.
     #[error("incarnation {incarnation} begins again")]
     Incarnation {
         /// The number.
         incarnation: u32,
     },
-    /// Two leases have one epoch.
+    /// Two leases have the same epoch.
     #[error("epoch {} is that of {} and of {}", .epoch.0, .tasks[0], .tasks[1])]
     EpochAgain {
         /// The epoch.
         epoch: Epoch,
-        /// Of the first lease and of the second.
+        /// Tasks of the first and the second lease.
         tasks: [TaskKey; 2],
     },
-    /// What jobs share was begun again, and was there.
+    /// Shared stages were begun again although they existed.
     #[error("{} is begun, and {} is the same", .jobs[1], .jobs[0])]
     BegunAgain {
-        /// The one that was there, and the new one.
+        /// The existing instance and the new one.
         jobs: [JobId; 2],
     },
-    /// A task was given out that reads what is done for its content, and that was not done by its build.
+    /// A task was leased before its build had finished the shared stages that it reads.
     #[error("{task} is leased under epoch {}, and what its frame shares is not there", .epoch.0)]
     Unserved {
         /// The task.
@@ -186,51 +186,51 @@ pub enum Violation {
         /// Epoch of the lease.
         epoch: Epoch,
     },
-    /// A worker does what jobs share and none of them waits for.
+    /// A worker computes a shared stage that no job waits for.
     #[error("a worker holds {task}, and nobody waits for it")]
     Unwanted {
         /// The task.
         task: TaskKey,
     },
-    /// A job has the number of an earlier one.
+    /// A new job has the number of an earlier one.
     #[error("job {job} is submitted, and there was one of this number")]
     Renumbered {
         /// The number.
         job: JobId,
     },
-    /// A key stands for two jobs.
+    /// A key refers to two jobs.
     #[error("the key {key} is that of job {}, and of job {}", .jobs[0], .jobs[1])]
     KeyMoved {
         /// The key.
         key: String,
-        /// Before, and now.
+        /// Earlier and present job.
         jobs: [JobId; 2],
     },
-    /// The log says that a person steered a job, and nobody did.
+    /// The log contains a control that nobody requested.
     #[error("nobody asked for {control:?} of job {job}")]
     Unasked {
         /// The job.
         job: JobId,
-        /// Control that the person asked for.
+        /// Control in the log.
         control: Control,
     },
-    /// What a person did to a job was acknowledged, and the log does not have it.
+    /// A control was acknowledged, but is not in the log.
     #[error("{control:?} of job {job} was acknowledged and is not in the log")]
     Unwritten {
         /// The job.
         job: JobId,
-        /// Control that the person asked for.
+        /// Control that the person requested.
         control: Control,
     },
-    /// What a person wanted was refused because the job had ended, which it had not.
+    /// A control was refused because the job had ended, but it had not.
     #[error("{control:?} of job {job} was refused because it had ended, and it had not")]
     Refused {
         /// The job.
         job: JobId,
-        /// Control that was asked for.
+        /// Control that was requested.
         control: Control,
     },
-    /// A result counts of a job that had ended.
+    /// A result counts although its job had ended.
     #[error("{task} counts under epoch {}, and its job had ended", .epoch.0)]
     AfterEnd {
         /// The task.
@@ -238,43 +238,43 @@ pub enum Violation {
         /// Epoch of its result.
         epoch: Epoch,
     },
-    /// A job was forgotten before its time.
+    /// A job expired too early.
     #[error("job {job} was forgotten before its time")]
     ForgottenEarly {
         /// The job.
         job: JobId,
     },
-    /// A job is gone, and nobody has forgotten it.
+    /// A job disappeared without expiring.
     #[error("job {job} is gone")]
     Gone {
         /// The job.
         job: JobId,
     },
-    /// A worker that an operator had drained got a task.
+    /// A drained worker received a task.
     #[error("the worker of process {instance} is drained and gets a task")]
     Drained {
         /// The worker's process.
         instance: u64,
     },
-    /// An answer is not what the log said then.
+    /// An answer differs from the log of that time.
     #[error("somebody was told of job {job}: {what}; the log never said so")]
     Answer {
         /// The job.
         job: JobId,
-        /// What the answer said.
+        /// Content of the answer.
         what: String,
     },
-    /// A task is said to have failed more often than it has, or was put aside too soon.
+    /// An answer reports more failures of a task than the log has, or the task was quarantined too early.
     #[error("{task} is put aside after {answered} attempts, as somebody was told; by the log it failed {logged} times")]
     Attempts {
         /// The task.
         task: TaskKey,
-        /// Attempts that an answer stated.
+        /// Attempts according to the answer.
         answered: u32,
         /// Failed attempts in the log.
         logged: u32,
     },
-    /// A task that was put aside was given out.
+    /// A quarantined task was leased.
     #[error("{task} is leased under epoch {}, and was put aside before", .epoch.0)]
     Aside {
         /// The task.
@@ -282,17 +282,17 @@ pub enum Violation {
         /// Epoch of the lease.
         epoch: Epoch,
     },
-    /// The attempts of a task that is put aside have become fewer, and nobody has tried it again.
+    /// The attempts of a quarantined task decreased without a retry.
     #[error("{task} was put aside after {before} attempts, and now after {answered}")]
     Fewer {
         /// The task.
         task: TaskKey,
-        /// Attempts that an earlier answer stated.
+        /// Attempts according to an earlier answer.
         before: u32,
-        /// Attempts that the latest answer stated.
+        /// Attempts according to the latest answer.
         answered: u32,
     },
-    /// The log counts more failures of a task than were reported, a lease and its copy being one attempt.
+    /// The log counts more failures of a task than workers reported. A lease and its copy are one attempt.
     #[error("the log counts {counted} failed attempts of {task}, and {reported} were reported")]
     Failures {
         /// The task.
@@ -302,13 +302,13 @@ pub enum Violation {
         /// Failed attempts that workers reported.
         reported: usize,
     },
-    /// A task is said to have made no progress, and every task here does.
+    /// A task was reported as stalled, although every task of the simulation makes progress.
     #[error("{task} is said to have made no progress")]
     Stalled {
         /// The task.
         task: TaskKey,
     },
-    /// An owner is charged less than before, or not for the time that workers held something of his.
+    /// The charge of an owner decreased, or differs from the time for which workers held the owner's tasks.
     #[error("{owner} is charged {held} ms after {before} ms; workers held something of his for {seen} ms")]
     Charged {
         /// The owner.
@@ -317,10 +317,10 @@ pub enum Violation {
         before: u64,
         /// Milliseconds charged now.
         held: u64,
-        /// Milliseconds as seen on the way to the workers.
+        /// Milliseconds observed between coordinators and workers.
         seen: u64,
     },
-    /// A worker's process is said to have died over a task, and it lives.
+    /// A task was reported to have killed a worker's process, but the process is alive.
     #[error("process {instance} is said to have died over {task}, and it lives")]
     Alive {
         /// The worker's process.
@@ -328,13 +328,13 @@ pub enum Violation {
         /// The task.
         task: TaskKey,
     },
-    /// A job failed, and nothing explains it.
+    /// A job failed without an explanation.
     #[error("the job failed, and nothing says why: {status}")]
     Unexplained {
-        /// What the farm says of it.
+        /// Status of the job as the farm reports it.
         status: String,
     },
-    /// A report was refused because its lease was over, and its worker had not been told.
+    /// A report was refused because its lease was over, but its worker had not been informed.
     #[error("the lease of {task} under epoch {} ended, and its worker was not told", .epoch.0)]
     Silent {
         /// The task.
@@ -342,37 +342,37 @@ pub enum Violation {
         /// Epoch of the lease.
         epoch: Epoch,
     },
-    /// A frame's seconds are not those of its results.
+    /// The busy time of a frame differs from the sum over its results.
     #[error("frame {frame} took {answered} ms, as somebody was told; its results took {logged} ms")]
     Busy {
         /// Frame number.
         frame: u32,
-        /// Time that an answer stated, in milliseconds.
+        /// Time according to an answer, in milliseconds.
         answered: u64,
-        /// Time by the log, in milliseconds.
+        /// Time according to the log, in milliseconds.
         logged: u64,
     },
-    /// Something was removed from the store that the log names.
+    /// An artifact that the log references was removed from the store.
     #[error("{digest} was removed, and the log names it")]
     Removed {
         /// Digest of the artifact.
         digest: Digest,
     },
-    /// Something is in the store that nobody needs, or is not there and somebody does.
+    /// After garbage collection, the store has unreferenced artifacts or lacks referenced ones.
     #[error("after a collection of garbage {left} artifacts are left that nothing names, and {missing} are missing")]
     Garbage {
-        /// Artifacts that nothing names.
+        /// Artifacts without references.
         left: u64,
-        /// Artifacts that are named and missing.
+        /// Artifacts that are referenced and missing.
         missing: u64,
     },
-    /// A person's upload failed though nothing was wrong with the farm.
+    /// A person's upload failed although the store had no fault.
     #[error("an upload was refused, and nothing was wrong with the farm: {message}")]
     Upload {
-        /// What the person was told.
+        /// Message that the person received.
         message: String,
     },
-    /// A result counts that states another size of an artifact than that has.
+    /// A result counts although it states a wrong size of an artifact.
     #[error(
         "{task} counts under epoch {}, and states {} bytes of {}, which has {bytes}",
         .epoch.0, .stated.bytes, .stated.digest
@@ -382,12 +382,12 @@ pub enum Violation {
         task: TaskKey,
         /// Epoch of its lease.
         epoch: Epoch,
-        /// What the result states.
+        /// Artifact with the stated size.
         stated: Artifact,
-        /// Bytes of the artifact.
+        /// Real size in bytes.
         bytes: u64,
     },
-    /// A lease of another farm took the place of one of here.
+    /// A lease of another farm replaced one of this farm.
     #[error("{task} under epoch {} is held by who brought a lease of another farm", .epoch.0)]
     TakenOver {
         /// The task.
@@ -395,33 +395,33 @@ pub enum Violation {
         /// Epoch of the lease.
         epoch: Epoch,
     },
-    /// Somebody asked for an artifact and got other bytes than its own.
+    /// A request for an artifact returned wrong bytes.
     #[error("somebody asked for {digest} and got {found}")]
     Delivered {
-        /// Digest that was asked for.
+        /// Digest that was requested.
         digest: Digest,
-        /// Digest of what came.
+        /// Digest of the received bytes.
         found: Digest,
     },
-    /// A snapshot was made of a log that was short.
+    /// A snapshot was made although the log was short.
     #[error("a snapshot was made of {records} records")]
     Snapshot {
-        /// Records of the log since the snapshot before.
+        /// Records of the log since the previous snapshot.
         records: usize,
     },
-    /// A snapshot does not say what the log says that it replaces.
+    /// A snapshot differs from the log that it replaces.
     #[error("a snapshot is not what the snapshot before it and the {records} records since say")]
     SnapshotDiffers {
-        /// Records of the log since the snapshot before.
+        /// Records of the log since the previous snapshot.
         records: usize,
     },
-    /// A coordinator came to its end because its log's disk was full.
+    /// A coordinator terminated because the log's disk was full.
     #[error("a full disk ended a coordinator: {message}")]
     Ended {
         /// Error of the coordinator.
         message: String,
     },
-    /// A worker got a task that computes while the tasks that waited there were worth more time than may wait.
+    /// A worker was leased a task that computes although its waiting tasks already take more time than allowed.
     #[error(
         "at {at:.3?} the worker of process {instance} is leased {task} while it has {count} waiting, which take at least \
          {milliseconds} ms"
@@ -431,14 +431,14 @@ pub enum Violation {
         instance: u64,
         /// The task.
         task: TaskKey,
-        /// Tasks that waited.
+        /// Number of waiting tasks.
         count: usize,
-        /// Milliseconds that they take at least.
+        /// Least duration of these tasks, in milliseconds.
         milliseconds: u64,
         /// Simulated time.
         at: Duration,
     },
-    /// A worker on which the tasks of a job fail got another one before its pause was over.
+    /// A worker on which tasks of a job failed was leased another one before its pause was over.
     #[error(
         "at {at:.3?} the worker of process {instance} is leased {task}, {milliseconds} ms after its first pause began; {failures} \
          tasks of the job failed there in a row, and the pauses after them are {pause} ms"
@@ -457,7 +457,7 @@ pub enum Violation {
         /// Simulated time.
         at: Duration,
     },
-    /// A task that joins waited while a worker that could take it got a task that computes.
+    /// A task that joins waited, while a worker that could take it was leased a task that computes.
     #[error(
         "at {at:.3?} {task} had waited for {milliseconds} ms, and the worker of process {instance} was leased {other} before it"
     )]
@@ -466,14 +466,14 @@ pub enum Violation {
         task: TaskKey,
         /// The process of the worker that could take it.
         instance: u64,
-        /// The task that this worker got.
+        /// The task that this worker was leased.
         other: TaskKey,
         /// Milliseconds that the task had waited.
         milliseconds: u64,
         /// Simulated time.
         at: Duration,
     },
-    /// A drained worker has kept a task that it has not begun.
+    /// A drained worker kept a task that it had not begun.
     #[error(
         "at {at:.3?} the worker of process {instance} has been drained for {milliseconds} ms, and {task} waits there"
     )]
@@ -490,19 +490,19 @@ pub enum Violation {
     /// The log cannot be read.
     #[error("the log cannot be read: {0}")]
     Log(#[from] SnapshotError),
-    /// The simulation itself broke.
+    /// The simulation itself failed.
     #[error("the world broke: {0}")]
     World(String),
 }
 
 impl Violation {
-    /// As that of one of many jobs.
+    /// Turns a violation into a violation of one of many jobs.
     pub(crate) fn of(self, job: JobId) -> Self {
         Self::OfJob { job, violation: Box::new(self) }
     }
 }
 
-/// All that is wrong.
+/// Returns all violations of a run.
 pub(crate) fn audit(state: &State) -> Vec<Violation> {
     let mut wrong = state.wrong.clone();
     wrong.extend(settled(state));
@@ -512,7 +512,7 @@ pub(crate) fn audit(state: &State) -> Vec<Violation> {
     wrong
 }
 
-/// What is wrong with the log that there is now.
+/// Returns the violations in the current log.
 pub(crate) fn settled(state: &State) -> Vec<Violation> {
     let disk = &state.disk;
     let logged = log(&disk.history, [&state.accepted, &state.reported], &state.leases);
@@ -520,7 +520,7 @@ pub(crate) fn settled(state: &State) -> Vec<Violation> {
     [logged, noted].into_iter().flat_map(|found| found.unwrap_or_else(|error| vec![error.into()])).collect()
 }
 
-/// Whether the status of a job that is done agrees with what was asked for.
+/// Checks that the status of a finished job agrees with its specification.
 pub(crate) fn account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
     let mut wrong = Vec::new();
     let mut check = |what, found: u64, expected: u64| {
@@ -535,7 +535,7 @@ pub(crate) fn account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
     wrong
 }
 
-/// What the log says that it must not say.
+/// Checks the records of a log against the leases and the acknowledged results.
 pub(crate) fn log<'a>(
     history: impl IntoIterator<Item = &'a Vec<u8>>,
     [accepted, reported]: [&Reports; 2],
@@ -565,14 +565,15 @@ pub(crate) fn log<'a>(
     Ok(wrong)
 }
 
-/// Whether of each result that counts it was noted each time what it took, and of nothing else as of a result. Of jobs that are
-/// forgotten there are no notes. Where a write was torn, there may be more: what was noted along with a record that was lost.
+/// Checks that each counted result has exactly one attempt record per count, and that no other attempt record says that its attempt
+/// is done. Expired jobs have no attempt records. After a torn write there may be more: the attempt record is kept while its log
+/// record is lost.
 pub(crate) fn noted<'a>(
     history: impl IntoIterator<Item = &'a Vec<u8>>,
     notes: &[Note],
     tail: Tail,
 ) -> Result<Vec<Violation>, SnapshotError> {
-    // One that was lost may come again under its lease, and count again.
+    // A lost result may be reported again under its lease, and counts again.
     let (mut counts, mut forgotten) = (BTreeMap::<_, (u64, u64)>::new(), BTreeSet::new());
     for record in history {
         let fact = Fact::decode(record)?.1;

@@ -1,4 +1,4 @@
-//! Who comes to a world: decided by the seed before it begins.
+//! The people of a world. The seed decides everything about them before the world begins.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -20,35 +20,35 @@ use crate::shelf::Shelf;
 use crate::stage::Stage;
 use crate::{drill, stage};
 
-/// People of a world.
+/// Habits of the people of a world.
 const MANNER: Manner = Manner { look: Duration::from_millis(400), patience: Duration::from_secs(200) };
-/// Frames of all jobs of a world, about.
+/// Approximate number of frames of all jobs of a world.
 const FRAMES: usize = 5;
-/// What is younger is no garbage.
+/// Age below which an artifact is never garbage.
 const GRACE: Duration = Duration::from_secs(60);
-/// Bytes of something large: it goes in several pieces.
+/// Bytes of a large artifact, which is sent in several pieces.
 const LARGE: usize = 5 << 19;
-/// A drained worker is drained for so long at most.
+/// Longest time for which a worker is drained.
 const DRAINED: Duration = Duration::from_secs(15);
 
-/// The people of a world, and what the farm knows about them.
+/// The people of a world, and their errands.
 #[derive(Debug)]
 pub(crate) struct Cast {
     seed: u64,
-    /// What each of them wants, one after the other.
+    /// Errands of each person, in order.
     people: Vec<Vec<Errand>>,
-    /// Somebody drains workers.
+    /// An operator drains workers.
     drains: bool,
-    /// So many send the same large artifact at once, and some of them die over it.
+    /// Number of people who upload the same large artifact at once. Some of them give up and start again.
     senders: u64,
-    /// At the end somebody removes garbage.
+    /// An operator collects garbage at the end.
     collects: bool,
-    /// Jobs of very different pace, and when each comes.
+    /// Jobs with very different task durations, with the time at which each is submitted.
     paced: Vec<(Errand, Duration)>,
 }
 
 impl Cast {
-    /// That of a seed.
+    /// Draws the cast of a seed.
     pub(crate) fn of(seed: u64) -> anyhow::Result<Self> {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x0ca5_7000);
         let mut drills = Drills::of(seed);
@@ -63,7 +63,7 @@ impl Cast {
                 continue;
             }
             let name = format!("person{number}");
-            // Those of one key want the same.
+            // Two people with one key submit the same job.
             let is_both = is_first && is_shared && number < 2 && count > 1;
             let mut own = if is_both { SmallRng::seed_from_u64(seed) } else { SmallRng::seed_from_u64(rng.random()) };
             let content = if is_both { drills.common() } else { drills.draw() };
@@ -97,19 +97,19 @@ impl Cast {
         })
     }
 
-    /// The farm's settings: owners have weights, and in some worlds jobs are forgotten.
+    /// Returns the farm's settings. Owners have weights, and in some worlds jobs expire.
     pub(crate) fn config(&self) -> Config {
         let mut rng = SmallRng::seed_from_u64(self.seed ^ 0x0c0f_1600);
         let owners = (0..self.people.len()).map(|number| format!("person{number}"));
         let weights: BTreeMap<String, u32> = owners.map(|owner| (owner, rng.random_range(1..4))).collect();
         let keep_ended = (rng.random_range(0..4) == 0).then(|| rng.random_range(1_500..12_000));
-        // What is shared and nobody needs any more is forgotten at once, or but for the last, or never.
+        // Unneeded shared results expire at once, or all but the last one, or never.
         let schedule = if self.paced.is_empty() { stage::schedule(self.seed) } else { stage::paced() };
         let shared_bytes = [0, drill::BYTES, schedule.shared_bytes][(self.seed / 4 % 3) as usize];
         Config { weights, keep_ended, shared_bytes, ..schedule }
     }
 
-    /// They come, and go when all their jobs have ended.
+    /// Runs all errands, and returns when all jobs have ended.
     pub(crate) async fn live(self, shared: Shared, shelf: Shelf) -> turmoil::Result {
         let mut rng = SmallRng::seed_from_u64(self.seed ^ 0x11fe_0000);
         let seeds: Vec<u64> = self.people.iter().map(|_| rng.random()).collect();
@@ -120,7 +120,7 @@ impl Cast {
             if self.drains {
                 tokio::time::sleep(Duration::from_millis(rng.random_range(0..12_000))).await;
                 drain_a_while(&shared, &mut rng, DRAINED).await;
-                // One that was away may come back as drained.
+                // A worker that was disconnected may still be drained when it reconnects.
                 for _ in 0..8 {
                     tokio::time::sleep(Duration::from_secs(5)).await;
                     open_all(&shared).await;
@@ -134,7 +134,7 @@ impl Cast {
             lived.into_iter().chain(paced).collect::<Vec<_>>()
         };
         tokio::pin!(drains, lives);
-        // Nobody waits for whoever drains workers.
+        // The world does not wait for the operator.
         let lived = tokio::select! {
             biased;
             lived = &mut lives => lived,
@@ -148,7 +148,7 @@ impl Cast {
     }
 }
 
-/// Which jobs of a world are drills.
+/// Draws the jobs of a world that are drills.
 struct Drills {
     seed: u64,
     rng: SmallRng,
@@ -156,19 +156,19 @@ struct Drills {
 }
 
 impl Drills {
-    /// Every third world has some.
+    /// Decides whether the world has drills. Every third world has some.
     fn of(seed: u64) -> Self {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x0d51_1100);
         let are_there = rng.random_range(0..3) == 0;
         Self { seed, rng, are_there }
     }
 
-    /// The content that most of them share.
+    /// Returns the content that most drills share.
     fn common(&self) -> Option<u64> {
         self.are_there.then_some(self.seed)
     }
 
-    /// The content of the next job, if that is a drill.
+    /// Draws the content of the next job, if it is a drill.
     fn draw(&mut self) -> Option<u64> {
         let own = self.rng.random();
         let content = if self.rng.random_range(0..3) > 0 { self.seed } else { own };
@@ -176,7 +176,7 @@ impl Drills {
     }
 }
 
-/// Which jobs of a world are lit by a first pass.
+/// Draws the jobs of a world that have a first pass.
 struct FirstPasses {
     seed: u64,
     rng: SmallRng,
@@ -184,26 +184,26 @@ struct FirstPasses {
 }
 
 impl FirstPasses {
-    /// Every third world has some, among drills or not.
+    /// Decides whether the world has first passes. Every third world has some, with or without drills.
     fn of(seed: u64) -> Self {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x0f12_5700);
         let are_there = rng.random_range(0..3) == 0;
         Self { seed, rng, are_there }
     }
 
-    /// The number of the job of those who want the same.
+    /// Returns the number of the job that two people submit with one key.
     fn common(&self) -> Option<u64> {
         self.are_there.then_some(self.seed)
     }
 
-    /// The number of the next job, if that has one.
+    /// Draws the number of the next job, if it has a first pass.
     fn draw(&mut self) -> Option<u64> {
         let number = self.rng.random();
         (self.are_there && self.rng.random_range(0..2) == 0).then_some(number)
     }
 }
 
-/// - `special`: what is wanted, if that is not a job that is rendered by paths.
+/// - `special`: job that replaces the path-traced one.
 fn errand(rng: &mut SmallRng, most: usize, special: Option<Stage>) -> anyhow::Result<Errand> {
     let rendered = stage::pick(rng.random_range(0..Stage::COUNT))?;
     let stage = special.unwrap_or_else(|| rendered.clone());
@@ -224,8 +224,8 @@ fn errand(rng: &mut SmallRng, most: usize, special: Option<Stage>) -> anyhow::Re
     Ok(Errand { key: String::new(), spec, stage, whim, pauses })
 }
 
-/// In every fourth world two more people come: the tasks of one take milliseconds, those of the other seconds, and each has frames to
-/// finish while the other's tasks wait. Drawn apart, so that the other worlds stay as they are.
+/// Draws two more people in every fourth world. The tasks of one take milliseconds, those of the other seconds. Each has frames to
+/// finish while the other's tasks wait. A separate random sequence keeps the other worlds unchanged.
 fn paced(seed: u64) -> anyhow::Result<Vec<(Errand, Duration)>> {
     let mut rng = SmallRng::seed_from_u64(seed ^ 0x0c0d_7e30);
     if rng.random_range(0..4) > 0 {
@@ -263,14 +263,14 @@ async fn live(errands: &[Errand], seed: u64, shared: &Shared, shelf: &Shelf) -> 
     Ok(())
 }
 
-/// Bytes that no other artifact has.
+/// Returns the bytes of a large artifact that differs from all others.
 fn large(seed: u64) -> Bytes {
     let block: [u8; 32] = *blake3::hash(&seed.to_le_bytes()).as_bytes();
     block.iter().copied().cycle().take(LARGE).collect()
 }
 
-/// Sends something large that others send, too: the first may die over it, and then comes again. Nobody is refused because of
-/// another.
+/// Uploads a large artifact that others upload at the same time. The first try may be abandoned and repeated. No upload may be
+/// refused because of another one.
 async fn send(shared: &Shared, shelf: &Shelf, bytes: &Bytes, seed: u64) {
     let mut rng = SmallRng::seed_from_u64(seed);
     let put = async |client: Client| {
@@ -295,7 +295,8 @@ async fn send(shared: &Shared, shelf: &Shelf, bytes: &Bytes, seed: u64) {
     }
 }
 
-/// Removes garbage when all is over and old: then what is there is what the log names.
+/// Collects garbage when all jobs have ended and all artifacts are old. Then the store must contain exactly the artifacts that the
+/// log references.
 async fn collect(shared: &Shared, shelf: &Shelf) {
     tokio::time::sleep(GRACE + Duration::from_secs(5)).await;
     let collect = async |client: Client| client.collect(CollectMode::Remove, GRACE).await;

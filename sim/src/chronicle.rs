@@ -1,4 +1,4 @@
-//! What the log says of jobs and workers, record by record, told by the records alone; and what it must never say.
+//! History of jobs and workers, derived from the records of the log alone. Also checks each record against it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -12,10 +12,10 @@ use crate::audit::Violation;
 use crate::contents::Contents;
 use crate::tasks::{counted, job_of, tried};
 
-/// A number of records: those of the log so far.
+/// Position in the log: number of records so far.
 pub(crate) type Place = u64;
 
-/// What a person has done to a job.
+/// Effect of the controls of a person on a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Hold {
     Free,
@@ -23,7 +23,7 @@ enum Hold {
     Cancelled,
 }
 
-/// Where a job stands.
+/// State of a job at one position of the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Standing {
     finished: u32,
@@ -32,18 +32,19 @@ struct Standing {
     priority: u8,
 }
 
-/// What went wrong with a task.
+/// Failures of a task.
 #[derive(Debug, Default)]
 struct Trouble {
     failures: u32,
     /// Deaths of workers, by lease.
     deaths: BTreeMap<Epoch, Casualty>,
-    /// A failure put it aside, and of what was leased after this one nothing is its.
+    /// Last epoch before failures quarantined the task. Later leases must not be of this task.
     until: Option<Epoch>,
 }
 
 impl Trouble {
-    /// The rule by which a task is put aside: three failures, or five deaths that are known of one worker or are of several.
+    /// Checks whether the task is quarantined: after three failures, or after five deaths that are proved by a worker's journal or
+    /// are of several workers.
     fn is_aside(&self) -> bool {
         let known = self.deaths.values().filter(|death| death.evidence == Evidence::Journal).count();
         let workers: BTreeSet<&str> = self.deaths.values().map(|death| death.worker.as_str()).collect();
@@ -66,7 +67,7 @@ impl Trouble {
         known.evidence = known.evidence.max(casualty.evidence);
     }
 
-    /// A process lives, and so has not died of it; what is put aside stays so.
+    /// Notes that a process is alive, so a presumed death of it is withdrawn. A quarantined task stays quarantined.
     fn lives(&mut self, instance: u64) {
         if !self.is_aside() {
             self.deaths.retain(|_, death| (death.instance, death.evidence) != (instance, Evidence::Presumed));
@@ -74,23 +75,23 @@ impl Trouble {
     }
 }
 
-/// A job, or what jobs share.
+/// A job, or a set of shared stages.
 #[derive(Debug)]
 pub(crate) struct Record {
     pub(crate) spec: Box<JobSpec>,
-    /// Its frames; of what is shared the one that stands for it.
+    /// Frames of the job. Shared stages have one frame that stands for them.
     pub(crate) frames: Vec<u32>,
-    /// Where it stood, from which place on.
+    /// States of the job, each with the position from which it holds.
     standings: Vec<(Place, Standing)>,
     controls: Vec<(Place, Control)>,
-    /// What went wrong with tasks since the last retry.
+    /// Failures of tasks since the last retry.
     troubles: BTreeMap<TaskKey, Trouble>,
-    /// Seconds of the results of each frame that is not finished.
+    /// Seconds of the results of each unfinished frame.
     busy: BTreeMap<u32, f64>,
-    /// The same of those that are.
+    /// Seconds of the results of each finished frame.
     finished: BTreeMap<u32, f64>,
     doom: Option<Failure>,
-    /// When it ended last, by the coordinator's clock.
+    /// Time at which the job ended last, on the coordinator's clock.
     ended: Option<Tick>,
 }
 
@@ -121,25 +122,25 @@ impl Record {
         self.is_over() || self.now().finished as usize == self.frames.len()
     }
 
-    /// Whether nothing more will come of it, unless somebody tries it again.
+    /// Checks whether the job is cancelled or doomed. Only a retry can continue it.
     pub(crate) fn is_over(&self) -> bool {
         let Standing { hold, doomed, .. } = self.now();
         hold == Hold::Cancelled || doomed
     }
 
-    /// Whether nobody holds it.
+    /// Checks that the job is not paused, cancelled or doomed.
     pub(crate) fn may_run(&self) -> bool {
         let Standing { hold, doomed, .. } = self.now();
         hold == Hold::Free && !doomed
     }
 
-    /// Whether a frame is not finished, and none of its tasks is put aside.
+    /// Checks that a frame is unfinished and none of its tasks is quarantined.
     pub(crate) fn is_left(&self, frame: u32) -> bool {
         let mut aside = self.troubles.iter().filter(|(_, trouble)| trouble.is_aside());
         !self.finished.contains_key(&frame) && !aside.any(|(task, _)| task.stage.frame == frame)
     }
 
-    /// Whether a task of it is put aside.
+    /// Checks whether a task of the job is quarantined.
     pub(crate) fn is_in_trouble(&self) -> bool {
         self.troubles.values().any(Trouble::is_aside)
     }
@@ -154,14 +155,14 @@ impl Record {
         }
     }
 
-    /// Where it stood since a place.
+    /// Returns the states of the job since a position.
     fn since(&self, place: Place) -> impl Iterator<Item = Standing> + '_ {
         let first = self.standings.iter().rposition(|(at, _)| *at <= place).unwrap_or(0);
         self.standings.iter().skip(first).map(|(_, standing)| *standing)
     }
 }
 
-/// The log so far.
+/// History of the log so far.
 #[derive(Debug, Default)]
 pub(crate) struct Chronicle {
     records: Place,
@@ -170,14 +171,14 @@ pub(crate) struct Chronicle {
     last: u64,
     keys: BTreeMap<String, JobId>,
     forgotten: BTreeSet<JobId>,
-    /// Of all logs that there were.
+    /// Incarnations of all logs so far.
     incarnations: BTreeSet<u32>,
-    /// Workers that get no tasks: under which incarnation and when that was written.
+    /// Drained workers, each with the incarnation and the time of that record.
     drained: BTreeMap<u64, (u32, Duration)>,
     incarnation: u32,
-    /// Jobs up to this one are not followed any longer.
+    /// Last job that is not tracked any more. All earlier jobs are not tracked either.
     settled: u64,
-    /// After how many milliseconds a job that has ended may be forgotten.
+    /// Milliseconds after which an ended job may expire.
     pub(crate) keep_ended: Option<u64>,
 }
 
@@ -186,14 +187,14 @@ impl Chronicle {
         self.records
     }
 
-    /// A log begins that knows of nothing.
+    /// Begins an empty log.
     pub(crate) fn anew(&mut self) {
         let before = std::mem::take(self);
         let Self { incarnations, keep_ended, records, contents, .. } = before;
         *self = Self { incarnations, keep_ended, records, contents: contents.anew(), ..Self::default() };
     }
 
-    /// The number of the coordinator that began last.
+    /// Returns the number of the coordinator that began last.
     pub(crate) fn incarnation(&self) -> u32 {
         self.incarnation
     }
@@ -210,7 +211,7 @@ impl Chronicle {
         self.forgotten.contains(&job) || job.0 <= self.settled
     }
 
-    /// Nothing is kept of the jobs up to `last`.
+    /// Drops the jobs up to `last`.
     pub(crate) fn forget_until(&mut self, last: JobId) {
         self.settled = self.settled.max(last.0);
         self.jobs.retain(|job, _| *job > last);
@@ -218,7 +219,7 @@ impl Chronicle {
         self.forgotten.retain(|job| *job > last);
     }
 
-    /// Takes in what is being written now; what is wrong with it.
+    /// Applies a record that is being written, and returns its violations.
     pub(crate) fn take(
         &mut self,
         tick: Tick,
@@ -283,7 +284,7 @@ impl Chronicle {
                 let troubles = self.jobs.values_mut().flat_map(|record| record.troubles.values_mut());
                 troubles.for_each(|trouble| trouble.lives(*instance));
             }
-            // Also one that was finished, and whose image was lost: what it took was taken.
+            // Also a finished frame whose image was lost. The time that it took still counts.
             Fact::Restarted { job, frame } => {
                 if let Some(record) = self.jobs.get_mut(job)
                     && let Some(busy) = record.finished.remove(frame)
@@ -301,7 +302,7 @@ impl Chronicle {
             match self.jobs.get_mut(&job).filter(|record| !record.has_ended()) {
                 None => wrong.push(Violation::AfterEnd { task: result.task, epoch: result.epoch }),
                 Some(record) => {
-                    // What is done and lost later is tried anew.
+                    // A success resets the failures. If the result is lost later, the task is tried afresh.
                     if result.task.stage.kind.is_cut() {
                         record.troubles.remove(&tried(result.task));
                     }
@@ -311,7 +312,7 @@ impl Chronicle {
                         record.finished.insert(frame, busy);
                         record.troubles.retain(|task, _| task.stage.frame != frame);
                         let finished = record.finished.len() as u32;
-                        // What was paused and is done all the same is not held any longer.
+                        // A job that finishes while paused is not paused any more.
                         let is_done = record.finished.len() == record.frames.len();
                         let hold = if is_done { Hold::Free } else { record.now().hold };
                         record.stands(place, Standing { finished, hold, ..record.now() });
@@ -324,7 +325,7 @@ impl Chronicle {
         wrong
     }
 
-    /// Notes when jobs ended, if they have: the one that a record is about, and those that may wait for what it is about.
+    /// Notes when jobs end: the job of the record, and the jobs that may wait for it.
     fn note_ends(&mut self, fact: &Fact, tick: Tick) {
         let Some(job) = job_of(fact) else { return };
         let of = |other: &&JobId| **other == job || job.is_shared();
@@ -336,7 +337,7 @@ impl Chronicle {
         }
     }
 
-    /// A job is forgotten: it must have ended long enough ago.
+    /// Expires a job. It must have ended long enough ago.
     fn forget(&mut self, job: JobId, tick: Tick) -> Option<Violation> {
         self.forgotten.insert(job);
         self.keys.retain(|_, other| *other != job);
@@ -345,20 +346,20 @@ impl Chronicle {
         (!is_due).then_some(Violation::ForgottenEarly { job })
     }
 
-    /// What is wrong with a lease that a worker's process gets: an operator's word holds over restarts of the coordinator.
+    /// Checks a lease to a worker's process against drains. A drain survives restarts of the coordinator.
     pub(crate) fn may_work(&self, instance: u64, incarnation: u32, now: Duration) -> Option<Violation> {
-        /// Longer than what was said before is on its way.
+        /// Longer than any earlier message travels.
         const SLACK: Duration = Duration::from_secs(25);
         let (under, since) = *self.drained.get(&instance)?;
         (incarnation > under || now.saturating_sub(since) > SLACK).then_some(Violation::Drained { instance })
     }
 
-    /// When an operator drained a worker's process, if it is drained.
+    /// Returns the time at which an operator drained a worker's process, if it is drained.
     pub(crate) fn drained_since(&self, instance: u64) -> Option<Duration> {
         self.drained.get(&instance).map(|(_, since)| *since)
     }
 
-    /// Whether an answer is what the log said at some moment since `place`.
+    /// Checks that an answer agrees with the log at some position since `place`.
     pub(crate) fn agrees(&self, status: &JobStatus, place: Place) -> Option<Violation> {
         let job = status.job;
         let wrong = |what: String| Some(Violation::Answer { job, what });
@@ -397,18 +398,18 @@ impl Chronicle {
         invented.map(|it| Violation::Attempts { task: it.task, answered: it.attempts, logged: tries(&it.task) })
     }
 
-    /// Whether somebody gave the job's tasks another chance since `place`.
+    /// Checks whether somebody retried the job's tasks since `place`.
     pub(crate) fn is_retried_since(&self, job: JobId, place: Place) -> bool {
         self.jobs.get(&job).is_some_and(|record| record.is_retried_since(place))
     }
 
-    /// What is wrong with a lease that is given out: nothing is leased that failures have put aside.
+    /// Checks that a new lease is not of a quarantined task.
     pub(crate) fn may_lease(&self, task: TaskKey, epoch: Epoch) -> Option<Violation> {
         let until = self.jobs.get(&task.job)?.troubles.get(&tried(task))?.until?;
         (epoch > until).then_some(Violation::Aside { task, epoch })
     }
 
-    /// Why a job has failed, if that is explained: its doom, or tasks that have failed as often as they may.
+    /// Checks whether the failure of a job is explained: by its doom, or by quarantined tasks.
     pub(crate) fn explains(&self, status: &JobStatus) -> bool {
         let Some(record) = self.jobs.get(&status.job) else { return true };
         match &record.doom {
@@ -417,14 +418,14 @@ impl Chronicle {
         }
     }
 
-    /// Whether what was acknowledged since `place` was done by then.
+    /// Checks that a control that was acknowledged since `place` is in the log by now.
     pub(crate) fn holds(&self, job: JobId, control: &Control, place: Place) -> Option<Violation> {
         let record = self.jobs.get(&job)?;
         let is_written = record.controls.iter().any(|(at, written)| *at > place && written == control);
         let is_so = |standing: Standing| match control {
             Control::Pause => standing.hold == Hold::Paused,
             Control::Resume => standing.hold == Hold::Free,
-            // A job that was deleted is not there.
+            // A deleted job has no record.
             Control::Cancel | Control::Delete => false,
             Control::Retry | Control::RetryFrames(_) => standing.hold != Hold::Cancelled && !standing.doomed,
             Control::Priority(priority) => standing.priority == *priority,
@@ -433,7 +434,7 @@ impl Chronicle {
         (!holds).then(|| Violation::Unwritten { job, control: control.clone() })
     }
 
-    /// Whether a refusal because the job has ended is right at some moment since `place`.
+    /// Checks that a refusal because the job has ended was right at some position since `place`.
     pub(crate) fn may_refuse(&self, job: JobId, control: &Control, place: Place) -> Option<Violation> {
         let record = self.jobs.get(&job)?;
         let frames = record.spec.frames.len() as u32;
@@ -447,15 +448,15 @@ impl Chronicle {
         (!is_right).then(|| Violation::Refused { job, control: control.clone() })
     }
 
-    /// Seconds of the results of a finished frame.
+    /// Returns the seconds of the results of a finished frame.
     pub(crate) fn busy(&self, job: JobId, frame: u32) -> Option<f64> {
         self.jobs.get(&job)?.finished.get(&frame).copied()
     }
 }
 
-/// Failures after which a task is put aside.
+/// Failures after which a task is quarantined.
 const ATTEMPTS: u32 = 3;
-/// Deaths of workers after which it is.
+/// Deaths of workers after which a task is quarantined.
 const DEATHS: usize = 5;
 
 impl Record {

@@ -1,5 +1,5 @@
-//! What jobs share, by the log: a content and a build of the engine make an instance, which is begun once, is there when a frame
-//! reads it, stops when nobody waits for it, and stays as long as somebody does.
+//! Shared stages of jobs, according to the log. A content and an engine build make an instance. An instance is begun only once. It
+//! is done before a frame reads it, stops when no job waits for it, and is kept while a job needs it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -12,24 +12,24 @@ use crate::chronicle::{Chronicle, Record};
 use crate::faults::Fault;
 use crate::tasks::{Instance, content, counted};
 
-/// What the log says of instances.
+/// Instances according to the log.
 #[derive(Debug, Default)]
 pub(crate) struct Contents {
     live: BTreeMap<Instance, JobId>,
     last: u64,
-    /// Instances that were done, and since when one is not there any more.
+    /// Instances that were done, each with the time since which it is missing.
     there: BTreeMap<Instance, Option<Duration>>,
-    /// What frames read of the instances that are done.
+    /// Digests that frames read, by finished instance.
     made: BTreeMap<JobId, Vec<Digest>>,
-    /// Since when nobody waits for an instance.
+    /// Time since which no job waits for an instance.
     unwanted: BTreeMap<JobId, Duration>,
-    /// What a person has just asked for once more: what it shares is tried once more, too.
+    /// Contents of the job that a person has just submitted or retried. Their shared stages are retried, too.
     again: BTreeSet<Digest>,
-    /// So long a lease may last that nobody wants.
+    /// Longest time for which an unwanted lease may last.
     pub(crate) patience: Patience,
 }
 
-/// How soon what the log says is known everywhere.
+/// Time until every host knows what the log says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Patience(Duration);
 
@@ -40,15 +40,15 @@ impl Default for Patience {
 }
 
 impl Patience {
-    /// Longer than anything is on its way.
+    /// Longer than any message travels.
     const LONGEST: Duration = Duration::from_secs(25);
 
-    /// Longest time until what the log says is known everywhere.
+    /// Returns the longest time until every host knows what the log says.
     pub(crate) fn longest(self) -> Duration {
         self.0
     }
 
-    /// What may hold messages up from now on, or the coordinator.
+    /// Prepares for faults that may delay messages or the coordinator.
     pub(crate) fn expect(&mut self, faults: impl Iterator<Item = Fault>) {
         for fault in faults {
             match fault {
@@ -82,17 +82,17 @@ impl Patience {
 }
 
 impl Contents {
-    /// A log begins that knows of nothing.
+    /// Begins an empty log.
     pub(crate) fn anew(self) -> Self {
         Self { patience: self.patience, ..Self::default() }
     }
 
-    /// The content that an instance is of.
+    /// Returns the content and the build of a job's instance.
     fn key_of(&self, job: JobId) -> Option<&Instance> {
         self.live.iter().find(|(_, other)| **other == job).map(|(instance, _)| instance)
     }
 
-    /// An instance is not there any more.
+    /// Notes that an instance is missing from now on.
     fn leaves(&mut self, job: JobId, now: Duration) {
         self.made.remove(&job);
         if let Some(instance) = self.key_of(job).cloned()
@@ -103,7 +103,7 @@ impl Contents {
     }
 }
 
-/// What a record says of an instance, for the account of what came about.
+/// Returns the name of a record about an instance, for the statistics of the run.
 pub(crate) fn fact_name(fact: &Fact) -> Option<&'static str> {
     match fact {
         Fact::Shared { .. } => Some("shared stages begun"),
@@ -114,13 +114,13 @@ pub(crate) fn fact_name(fact: &Fact) -> Option<&'static str> {
     }
 }
 
-/// Whether a job's frames share something.
+/// Checks whether a job has shared stages.
 fn shares(spec: &JobSpec) -> bool {
     spec.graph.of(Scope::Content).next().is_some()
 }
 
 impl Chronicle {
-    /// The jobs of people whose frames with this content are to be finished and can be.
+    /// Returns the jobs of people that have an unfinished frame with this content and no quarantined task in that frame.
     fn needing(&self, key: Digest) -> impl Iterator<Item = &Record> {
         let is_left = move |record: &Record| {
             let mut left = record.frames.iter().filter(|&&frame| record.is_left(frame));
@@ -129,20 +129,21 @@ impl Chronicle {
         self.jobs.range(..JobId::shared(0)).map(|(_, record)| record).filter(move |record| is_left(record))
     }
 
-    /// Whether what the frames of a content share, some build's, cannot be done without a retry.
+    /// Checks whether an instance of the content, of any build, has a quarantined task and needs a retry.
     fn is_stuck(&self, key: Digest) -> bool {
         let of_key = self.contents.live.iter().filter(|((other, _), _)| *other == key);
         of_key.filter_map(|(_, job)| self.jobs.get(job)).any(Record::is_in_trouble)
     }
 
-    /// Whether nothing of a job can move without a retry: of each frame that is not finished a task is put aside, of itself or of
-    /// what it shares.
+    /// Checks whether a job needs a retry to proceed: each unfinished frame has a quarantined task, of its own or in its shared
+    /// stages.
     pub(crate) fn is_blocked(&self, record: &Record) -> bool {
         let is_starved = |frame| content(&record.spec, frame).is_some_and(|key| self.is_stuck(key));
         record.frames.iter().all(|&frame| !record.is_left(frame) || is_starved(frame))
     }
 
-    /// Whose the time is that a worker spends on a task of a job: its owner's, or of those who wait for what is shared.
+    /// Returns the owners who pay for a worker's time on a task of a job: the job's owner, or for shared stages the owners of all
+    /// waiting jobs.
     pub(crate) fn payers(&self, job: JobId) -> Option<Vec<String>> {
         let record = self.jobs.get(&job)?;
         let key = self.contents.key_of(job).map(|(key, _)| *key);
@@ -156,19 +157,19 @@ impl Chronicle {
         Some(owners)
     }
 
-    /// Those of all instances.
+    /// Returns the payers of all instances.
     pub(crate) fn payers_of_shared(&self) -> BTreeMap<JobId, Vec<String>> {
         let live = self.contents.live.values();
         live.filter_map(|&job| Some((job, self.payers(job)?))).collect()
     }
 
-    /// What frames read of the instances that are done, or jobs to come.
+    /// Returns the outputs of finished instances that frames read now or in future jobs.
     pub(crate) fn shared_inputs(&self) -> Vec<(JobId, u32, Digest)> {
         let made = self.contents.made.iter();
         made.flat_map(|(&job, made)| made.iter().map(move |&digest| (job, Stage::OF_JOB, digest))).collect()
     }
 
-    /// What is wrong with a record that is being written, before it is taken in.
+    /// Checks a record about an instance before it is applied.
     pub(crate) fn judge_shared(&mut self, fact: &Fact) -> Option<Violation> {
         match fact {
             Fact::Shared { job, key, engine, .. } => {
@@ -182,7 +183,7 @@ impl Chronicle {
                 let is_asked_for = key.is_some_and(|key| self.contents.again.contains(&key));
                 (!is_asked_for).then_some(Violation::Unasked { job: *job, control: control.clone() })
             }
-            // A job needs what its frames are made of, whether it runs or not.
+            // A job needs its shared stages whether it runs or not.
             Fact::Forgotten { job } if job.is_shared() => {
                 let (key, _) = *self.contents.key_of(*job)?;
                 let is_done = self.jobs.get(job).is_some_and(Record::has_ended);
@@ -193,7 +194,7 @@ impl Chronicle {
         }
     }
 
-    /// Takes in what a record that was taken in says of instances.
+    /// Updates the instances after a record was applied.
     pub(crate) fn note_shared(&mut self, fact: &Fact, now: Duration) {
         let contents = &mut self.contents;
         match fact {
@@ -235,8 +236,8 @@ impl Chronicle {
         }
     }
 
-    /// What is wrong with a lease of a frame that a worker of this build gets: what it reads of its content is not there.
-    /// - `incarnation`: of the coordinator that gives it out.
+    /// Checks a lease of a frame's task: the shared stages that it reads must be done by the worker's build.
+    /// - `incarnation`: number of the coordinator that grants the lease.
     pub(crate) fn may_read(
         &self,
         engine: &str,
@@ -252,14 +253,14 @@ impl Chronicle {
         let instance = (content(&record.spec, stage.frame)?, engine.to_owned());
         let is_there = match self.contents.there.get(&instance) {
             None => false,
-            // What was there a moment ago may have been so when the lease began.
+            // An instance that disappeared a moment ago may have existed when the lease was granted.
             Some(gone) => gone.is_none_or(|since| now.saturating_sub(since) <= self.contents.patience.0),
         };
         (!is_there).then_some(Violation::Unserved { task: lease.task, epoch: lease.epoch })
     }
 
-    /// A lease, of these that a worker holds, of what is shared and nobody has waited for, for too long.
-    /// - `joined`: since when the worker can be told.
+    /// Finds a lease of a worker whose shared stage has been unwanted for too long.
+    /// - `joined`: time since which the worker can be informed.
     pub(crate) fn unwanted<'a>(
         &self,
         held: impl Iterator<Item = &'a TaskKey>,

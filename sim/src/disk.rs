@@ -1,4 +1,4 @@
-//! The log's disk: it outlives crashes and knows who may write.
+//! The log's disk. It survives crashes and admits one writer.
 
 use std::future::pending;
 use std::io;
@@ -13,10 +13,10 @@ use crate::contents::fact_name;
 use crate::promises::Answers;
 use crate::shared::{Shared, State, Trap};
 
-/// Longest that the disk takes before and after a write.
+/// Longest time that the disk takes before and after a write.
 const SEEK: Duration = Duration::from_millis(6);
 
-/// Whether a write was ever torn.
+/// Tells whether a write was ever torn.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) enum Tail {
     #[default]
@@ -24,27 +24,27 @@ pub(crate) enum Tail {
     Torn,
 }
 
-/// What is on the log's disk.
+/// Contents of the log's disk.
 #[derive(Debug, Default)]
 pub(crate) struct Disk {
     pub(crate) contents: Contents,
-    /// All records ever written, whatever snapshots have replaced.
+    /// All records ever written, also those that snapshots have replaced.
     pub(crate) history: Vec<Vec<u8>>,
-    /// What is kept beside the log, oldest first.
+    /// Notes beside the log, oldest first.
     pub(crate) notes: Vec<Note>,
     tail: Tail,
-    /// The greatest number that a writer had, which is kept beside the log.
+    /// Greatest number that a writer has reserved, kept beside the log.
     reserved: u32,
-    /// How many there were before.
+    /// Number of earlier logs.
     pub(crate) logs: u32,
-    /// The host that took the lead last from another one, and when.
+    /// Host that took the lead last from another host, and the time of that.
     moved: (usize, Duration),
-    /// Of the coordinator that may write.
+    /// Epoch of the coordinator that may write.
     epoch: i64,
-    /// So many writes find no room.
+    /// Number of writes that will fail for lack of space.
     pub(crate) full: u32,
     pub(crate) snapshots: u32,
-    /// Most records that were there at a time beside a snapshot.
+    /// Most records beside a snapshot at any time.
     pub(crate) longest: usize,
 }
 
@@ -53,9 +53,9 @@ impl Disk {
         self.tail
     }
 
-    /// Whether somebody who led may still answer questions as if nothing had happened.
+    /// Checks whether a deposed leader may still answer requests.
     pub(crate) fn has_ghosts(&self) -> bool {
-        /// Longer than one that leads no more goes on.
+        /// Longer than a deposed leader continues.
         const HAUNTS: Duration = Duration::from_secs(12);
         let now = turmoil::sim_elapsed().unwrap_or_default();
         self.moved.1 > Duration::ZERO && now.saturating_sub(self.moved.1) < HAUNTS
@@ -66,7 +66,7 @@ impl Disk {
         self.notes.extend_from_slice(notes);
     }
 
-    /// What a coordinator that begins now would know.
+    /// Returns the ledger that a coordinator would load now.
     pub(crate) fn ledger(&self) -> Result<Ledger, SnapshotError> {
         let mut ledger = self.contents.snapshot.as_deref().map(Ledger::decode).transpose()?.unwrap_or_default();
         for record in &self.contents.records {
@@ -76,7 +76,7 @@ impl Disk {
         Ok(ledger)
     }
 
-    /// What is wrong with a snapshot that is about to take the place of the one before it and of the records since.
+    /// Checks a snapshot before it replaces the previous one and the records since then.
     fn judge(&self, snapshot: &[u8]) -> Option<Violation> {
         let compared = Ledger::decode(snapshot).and_then(|ledger| Ok(ledger == self.ledger()?));
         let records = self.contents.records.len();
@@ -88,14 +88,14 @@ impl Disk {
 }
 
 impl State {
-    /// A result that counts, and states another size of an artifact than that has.
+    /// Checks that a counted result states the real sizes of its artifacts.
     fn other_size(&self, task: TaskKey, epoch: Epoch, result: &TaskResult) -> Option<Violation> {
         let size = |stated: Artifact| Some((stated, *self.sizes.get(&stated.digest)?));
         let (stated, bytes) = result.artifacts().filter_map(size).find(|(stated, bytes)| stated.bytes != *bytes)?;
         Some(Violation::Size { task, epoch, stated, bytes })
     }
 
-    /// The log is gone: what was wrong with it is said, and a log begins that knows of nothing. Who may write does not change.
+    /// Loses the log: reports its violations and begins an empty log. The right to write does not change.
     pub(crate) fn lose_log(&mut self) {
         let wrong = settled(self);
         self.wrong.extend(wrong);
@@ -115,7 +115,7 @@ impl State {
 /// Records of the log after which a coordinator makes a snapshot.
 pub(crate) const SNAPSHOT: usize = 25;
 
-/// The log, in the hands of one coordinator.
+/// The log, opened by one coordinator.
 #[derive(Debug)]
 pub(crate) struct Log {
     shared: Shared,
@@ -124,7 +124,7 @@ pub(crate) struct Log {
 }
 
 impl Log {
-    /// Takes the lead: whoever had it before may write no more.
+    /// Takes the lead. The previous leader may not write any more.
     pub(crate) fn lead(shared: &Shared, host: usize) -> Self {
         let mut state = shared.lock();
         state.disk.epoch += 1;
@@ -134,7 +134,7 @@ impl Log {
         Self { shared: shared.clone(), host, epoch: state.disk.epoch }
     }
 
-    /// Writes, unless another leads, there is no room, or the process dies over it.
+    /// Writes, unless another coordinator leads, the disk is full, or the process is killed.
     async fn write(&self, write: impl FnOnce(&mut State) -> Written) -> Result<(), QueueError> {
         tokio::time::sleep(self.shared.pause(SEEK)).await;
         let written = {
@@ -154,7 +154,7 @@ impl Log {
         Ok(())
     }
 
-    /// Whether it may write, and there is room.
+    /// Checks that the coordinator leads and that the disk has space.
     fn admitted(&self, state: &mut State) -> Result<(), QueueError> {
         if state.disk.epoch != self.epoch {
             state.fired("stale leader refused");
@@ -168,7 +168,7 @@ impl Log {
         Ok(())
     }
 
-    /// Whether the process dies here.
+    /// Checks whether the process is killed at this point.
     fn falls(&self, state: &mut State, at: Trap) -> bool {
         match &mut state.trap {
             Some((left, trap)) if *trap == at => {
@@ -190,16 +190,16 @@ impl Log {
     }
 }
 
-/// Whether a write came to its end.
+/// Tells whether a write was completed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Written {
     Whole,
-    /// The process is as good as dead.
+    /// The process is killed.
     Torn,
 }
 
 impl Queue for Log {
-    /// What was torn is told once, and cut off.
+    /// Reports torn records once, and drops them.
     async fn load(&mut self) -> Result<Contents, QueueError> {
         let contents = &mut self.shared.lock().disk.contents;
         let loaded = contents.clone();
@@ -207,7 +207,7 @@ impl Queue for Log {
         Ok(loaded)
     }
 
-    /// Of a batch that is torn the notes stay if any of its records does.
+    /// If a batch is torn, its notes are kept when at least one of its records is.
     async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
         let mut records = batch.records.to_vec();
         self.write(|state| {
@@ -256,7 +256,7 @@ impl Queue for Log {
         .await
     }
 
-    /// It is kept beside the log, and outlives that.
+    /// The number is kept beside the log and survives its loss.
     async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
         let disk = &mut self.shared.lock().disk;
         disk.reserved = least.max(disk.reserved + 1);

@@ -1,5 +1,4 @@
-//! Jobs of drills: stages that iterate and that jobs share, and the answers of their frames by the definition of the arithmetic,
-//! without a farm.
+//! Drill jobs with iterating and shared stages. Computes the answers of their frames directly from the arithmetic, without a farm.
 
 use bytes::Bytes;
 use femc_model::{Digest, Graph, Grid, JobNotes, JobSpec, Need, Reach, Role, Round, Scope, Sizes, StageKind, Template};
@@ -8,14 +7,14 @@ use femc_schedule::Config;
 
 use crate::stage::{FRAMES, Stage};
 
-/// Numbers of a block.
+/// Number of values in a block.
 const NUMBERS: usize = 16;
-/// What stands for a scene, which nothing reads.
+/// Placeholder for a scene. Nothing reads it.
 const BUNDLE: &[u8] = b"no scene";
-/// Room for the shared stages of one content, and not of two.
+/// Cache size that holds the shared stages of one content, but not of two.
 pub(crate) const BYTES: u64 = Config::SHARED_OVERHEAD * 3 / 2;
 
-/// A world of numbers: blocks that iterate, each round from all blocks of the round before.
+/// Input of a drill: blocks of numbers that iterate. Each round reads all blocks of the previous round.
 #[derive(Debug, Clone, Copy)]
 struct Content {
     seed: u64,
@@ -28,8 +27,8 @@ impl Content {
         Self { seed: number, blocks: 4 + (number % 5) as u32, rounds: 2 + (number / 5 % 2) as u32 }
     }
 
-    /// Blocks, the end of their round, which the next one reads, a field of the last round's; a frame's pair of the field, which may
-    /// look at that of the frame before, and its answer.
+    /// Builds the graph. Shared stages: the blocks, the end of each round, which the next round reads, and a field from the last
+    /// round. Stages of a frame: a pair computed from the field, which may read the pair of the previous frame, and the answer.
     fn graph(&self) -> Graph {
         let drill = |scope, tasks, makes: &[Role]| Template::new(StageKind::Drill, scope, Sizes::even(tasks, 1), makes);
         let before = |stage| Need { stage, role: Role::Numbers, reach: Reach::All, round: Round::Before, gaps: false };
@@ -48,7 +47,7 @@ impl Content {
         }
     }
 
-    /// The field: what all frames read.
+    /// Computes the field, which all frames read.
     fn field(&self) -> Vec<u64> {
         let first = |place: u64| mixed(self.seed ^ mixed(place));
         let own = |block: u32| mixed(u64::from(block) << 32);
@@ -64,7 +63,7 @@ impl Content {
     }
 }
 
-/// Sums of blocks, the one of number `n` taken `2 n + 1` times, with a number of the task's own.
+/// Sums blocks, weighting block `n` with `2 n + 1`, and adds a number of the task.
 fn joined(blocks: &[(u32, Vec<u64>)], own: u64) -> Vec<u64> {
     let times =
         |(block, numbers): &(u32, Vec<u64>), place: usize| numbers[place].wrapping_mul(2 * u64::from(*block) + 1);
@@ -72,7 +71,7 @@ fn joined(blocks: &[(u32, Vec<u64>)], own: u64) -> Vec<u64> {
     (0..NUMBERS).map(|place| mixed(sum(place).wrapping_add(own))).collect()
 }
 
-/// SplitMix64.
+/// Hashes a number with SplitMix64.
 fn mixed(value: u64) -> u64 {
     let value = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -80,7 +79,7 @@ fn mixed(value: u64) -> u64 {
     value ^ (value >> 31)
 }
 
-/// The job whose content has this number: two of one number share their stages.
+/// Returns the job whose content has this number. Two jobs of one number share their stages.
 pub(crate) fn stage(number: u64) -> Stage {
     let content = Content::of(number);
     let field = [(0, content.field())];

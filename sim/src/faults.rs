@@ -1,4 +1,4 @@
-//! What goes wrong, and when: decided by the seed before the world begins.
+//! Faults of a world and their times. The seed decides them before the world begins.
 
 use std::time::Duration;
 
@@ -7,106 +7,106 @@ use rand::{RngExt as _, SeedableRng as _};
 
 pub use crate::shelf::Harm;
 
-/// Something that a farm may not survive yet: then worlds go without it.
+/// A kind of fault that a farm may not survive yet. Worlds can leave it out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Hardship {
-    /// Artifacts that are shorter or longer than they should be, at rest or after a torn upload.
+    /// Artifacts that are too short or too long, at rest or after a torn upload.
     Resized,
-    /// Several who send one thing at once.
+    /// Several uploads of one artifact at once.
     Senders,
     /// Tasks that kill their workers.
     Deadly,
-    /// A log that is lost, so that another one begins.
+    /// Loss of the log, after which an empty one begins.
     LogLost,
-    /// A full disk that may end no coordinator.
+    /// A full disk that must not terminate a coordinator.
     FullLog,
 }
 
 impl Hardship {
-    /// Those that the farm does not survive.
+    /// Hardships that the farm does not survive.
     const SPARED: &[Self] = &[];
 
-    /// Whether worlds have it.
+    /// Checks whether worlds include the hardship.
     pub(crate) fn is_there(self) -> bool {
         !Self::SPARED.contains(&self)
     }
 }
 
-/// Workers of a world.
+/// Number of workers of a world.
 pub(crate) const WORKERS: usize = 3;
-/// Coordinators of a world; one leads.
+/// Number of coordinators of a world. One of them leads.
 pub(crate) const COORDINATORS: usize = 2;
 
-/// Something that goes wrong.
+/// A fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// A worker is killed, and started again later.
+    /// Crash of a worker, with a later restart.
     WorkerDies(usize, Duration),
-    /// All workers but this one are killed, and on this one every task fails. Later the others are started again, and it is well.
+    /// Crash of all workers but this one, on which every task fails. Later the others restart and this worker recovers.
     AloneAndSick(usize, Duration),
-    /// The leading coordinator is killed, and started again later.
+    /// Crash of the leading coordinator, with a later restart.
     CoordinatorDies(Duration),
-    /// The coordinator is killed in its n-th write from now on, before the batch is on the disk.
+    /// Crash of the coordinator in its n-th write from now on, before the batch is on the disk.
     DiesBeforeWrite(u32),
-    /// The same when half of the batch is on the disk.
+    /// Crash of the coordinator in its n-th write from now on, when half of the batch is on the disk.
     TornWrite(u32),
-    /// The same after the batch is on the disk, before anybody hears of it.
+    /// Crash of the coordinator in its n-th write from now on, after the batch is on the disk and before any acknowledgement.
     DiesAfterWrite(u32),
-    /// The other coordinator takes the lead, while the one before goes on as if nothing had happened.
+    /// Change of the leader, while the previous leader continues as before.
     LeadChanges,
-    /// What a worker and the switch send each other is lost.
+    /// Loss of all messages between a worker and the switch.
     WorkerCut(usize, Duration),
-    /// What the worker sends is lost; it still hears.
+    /// Loss of all messages from a worker. The worker still receives messages.
     WorkerMute(usize, Duration),
-    /// What the coordinators and the switch send each other is lost.
+    /// Loss of all messages between the coordinators and the switch.
     CoordinatorCut(Duration),
-    /// A worker stands still; what it sent and what was sent to it comes later.
+    /// Freeze of a worker: messages from it and to it are delayed.
     WorkerFreezes(usize, Duration),
-    /// The coordinators stand still.
+    /// Freeze of the coordinators: messages between them and the switch are delayed.
     CoordinatorFreezes(Duration),
-    /// Messages take up to so long.
+    /// Slow network: latency up to the first duration, for the second duration.
     Slow(Duration, Duration),
-    /// So many writes of the log find no room.
+    /// Full disk: this number of writes of the log fail.
     LogFull(u32),
-    /// Nothing new finds room in the store.
+    /// Full store: it accepts nothing new.
     StoreFull(Duration),
-    /// The store does not answer but with errors.
+    /// Unavailable store: it answers with errors only.
     StoreAway(Duration),
-    /// The store takes up to so long for everything.
+    /// Slow store: each operation takes up to the first duration longer, for the second duration.
     StoreSlow(Duration, Duration),
-    /// Something that is put into the store after so many others is torn at so many thousandths, and what is there of it stays.
+    /// Torn upload to the store, after a number of other uploads. The given thousandths of its bytes are kept.
     UploadTorn(u32, u64),
-    /// Something happens to an artifact that a frame in work needs.
+    /// Damage of an artifact that an unfinished frame needs.
     ArtifactHarmed(Harm),
-    /// The same to a scene of a job.
+    /// Damage of the scene of a job.
     SceneHarmed(Harm),
-    /// The clock of a coordinator's machine jumps by so many milliseconds, ahead or back.
+    /// Jump of the clock of a coordinator's machine by this number of milliseconds, forward or back.
     ClockJumps(usize, i64),
-    /// It goes faster or slower from now on, by so many thousandths.
+    /// Drift of the clock of a coordinator's machine: it is faster or slower by this number of thousandths.
     ClockDrifts(usize, i64),
-    /// The log is gone, and the next coordinator begins one that knows of nothing.
+    /// Loss of the log. The next coordinator begins an empty one.
     LogLost,
-    /// A read of the store, after so many others, gets bytes of another artifact.
+    /// Wrong bytes: one read of the store, after a number of other reads, returns bytes of another artifact.
     ReadsAnother(u32),
 }
 
-/// A world's faults.
+/// Planned faults of a world.
 #[derive(Debug, Clone, Default)]
 pub struct Planned {
-    /// With the time at which each begins.
+    /// Faults, each with the time at which it begins.
     pub faults: Vec<(Duration, Fault)>,
-    /// Percentage of the workers' messages that come twice.
+    /// Percentage of the workers' messages that arrive twice.
     pub twice: u32,
-    /// Percentage of the workers' messages that come late.
+    /// Percentage of the workers' messages that arrive late.
     pub late: u32,
-    /// Percentage of the workers' results that state another size of an artifact than it has.
+    /// Percentage of the workers' results that state a wrong size of an artifact.
     pub misstated: u32,
     /// Percentage of the workers' sessions that begin with a lease of another farm.
     pub strays: u32,
 }
 
 impl Planned {
-    /// The plan of a seed: up to eight faults within the first quarter of a minute, and in some worlds the log is lost.
+    /// Draws the plan of a seed: up to eight faults within the first 15 seconds, and in some worlds a loss of the log.
     pub fn of(seed: u64) -> Self {
         let mut plan = Self::storm(seed);
         if seed % 11 == 4 && Hardship::LogLost.is_there() {
@@ -118,7 +118,8 @@ impl Planned {
         plan
     }
 
-    /// In every fifth world one worker is alone for a while, and sick. Drawn apart, so that the other worlds stay as they are.
+    /// Adds a lone worker on which all tasks fail, in every fifth world. A separate random sequence keeps the other worlds
+    /// unchanged.
     fn add_sickness(&mut self, seed: u64) {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_51c4);
         if rng.random_range(0..5) > 0 {
@@ -129,7 +130,7 @@ impl Planned {
         self.faults.sort_by_key(|&(at, _)| at);
     }
 
-    /// The same for a world that goes on: its log is never lost.
+    /// Draws a plan for a world that lasts long: its log is never lost.
     pub(crate) fn storm(seed: u64) -> Self {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_f417);
         let count = rng.random_range(0..=8);
@@ -142,8 +143,8 @@ impl Planned {
         plan
     }
 
-    /// In every third world workers lie about sizes and bring leases of another farm, and the store lies about bytes. Drawn apart:
-    /// the other worlds are as they would be without.
+    /// Adds wrong data in every third world: workers misstate sizes and bring leases of another farm, and the store returns wrong
+    /// bytes. A separate random sequence keeps the other worlds unchanged.
     fn add_lies(&mut self, seed: u64) {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_11e5);
         if rng.random_range(0..3) > 0 {

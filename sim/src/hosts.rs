@@ -1,4 +1,4 @@
-//! Who lives in a world: coordinators of which one leads, the switch, and workers.
+//! Hosts of a world: coordinators, one of which leads, the switch, and workers.
 
 use std::io;
 use std::sync::Arc;
@@ -24,10 +24,11 @@ use crate::stage::CACHE;
 use crate::switch;
 use crate::tasks::renders;
 
-/// Longest that a message takes when nothing is wrong.
+/// Longest latency of a message without faults.
 pub(crate) const LATENCY: Duration = Duration::from_millis(15);
 
-/// A world in steps of `tick` that lasts for `end` at most, with all its hosts; `scheduler` is that of every coordinator.
+/// Creates a world with all its hosts. It advances in steps of `tick` and lasts at most until `end`. All coordinators use the
+/// settings `scheduler`.
 pub(crate) fn settle(
     seed: u64,
     [tick, end]: [Duration; 2],
@@ -61,11 +62,11 @@ pub(crate) fn settle(
     sim
 }
 
-/// What outlives a worker's process.
+/// Data that survives the process of a worker.
 #[derive(Debug, Clone)]
 struct WorkerDisk {
     journal: Journal,
-    /// Results that nobody has acknowledged.
+    /// Results that are not acknowledged yet.
     memory: MemoryOutbox,
 }
 
@@ -76,7 +77,7 @@ impl Default for WorkerDisk {
 }
 
 impl WorkerDisk {
-    /// A machine that starts again may have lost or torn what it kept.
+    /// Restarts the machine, which may lose or tear stored results.
     fn boots(&self, shared: &Shared) {
         let mut state = shared.lock();
         self.memory.harm(|result| {
@@ -95,7 +96,7 @@ impl WorkerDisk {
     }
 }
 
-/// Ends of connections that the network keeps. To be asked from within.
+/// Returns the number of connection ends that the simulated network keeps. Must be called from within the simulation.
 pub(crate) fn ends() -> usize {
     let names = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name)).chain([SWITCH.into()]);
     names.map(turmoil::established_tcp_stream_count_on).sum()
@@ -109,7 +110,7 @@ pub(crate) fn worker_name(host: usize) -> String {
     format!("w{host}")
 }
 
-/// A coordinator: stands by until it leads, and again when it leads no more.
+/// Runs a coordinator: it stands by until it leads, and stands by again after it loses the lead.
 async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_schedule::Config) -> turmoil::Result {
     loop {
         while shared.lock().leader != host {
@@ -128,7 +129,7 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
                 Err(error) => (error, false),
             }
         };
-        // One that leads no more finds out at its next write; one that has nothing to write, after a while.
+        // A deposed leader notices at its next write. If it has nothing to write, it notices after a while.
         let dethroned = async {
             while shared.lock().leader == host {
                 tokio::time::sleep(Duration::from_millis(50)).await;
@@ -139,7 +140,7 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
             biased;
             (error, has_led) = failed => {
                 shared.note(|| format!("c{host} fails: {error}"));
-                // One that leads waits until there is room.
+                // A leader must wait until the disk has space.
                 if has_led && is_full(&error) && Hardship::FullLog.is_there() {
                     shared.lock().wrong.push(Violation::Ended { message: error.to_string() });
                 }
@@ -186,16 +187,17 @@ async fn worker(seed: u64, host: usize, shared: Shared, paces: Paces, disk: Work
     Ok(Worker::run(config, std::future::pending()).await?)
 }
 
-/// In every fourth world the farm is upgraded as it works: what starts later, because it had died, is of another build.
+/// Returns the engine build of a worker process. In every fourth world the farm is upgraded while it works: workers that restart
+/// after a crash have another build.
 fn build(seed: u64, boot: u64) -> &'static str {
     if seed.is_multiple_of(4) && boot > WORKERS as u64 { "new" } else { "old" }
 }
 
-/// What becomes of a task, as the curse of its job has it.
+/// Decides the fate of a task according to the curse of its job.
 fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fate {
-    /// Of a hundred tasks of a job in which some fail.
+    /// Percentage of failing tasks in a job in which some fail.
     const OFTEN: u64 = 12;
-    /// The same of the first of what jobs share: so that it is put aside now and then.
+    /// Percentage for the first task of shared stages, high enough that the task is sometimes quarantined.
     const OFTEN_SHARED: u64 = 60;
     let TaskKey { job, stage, .. } = assignment.task;
     if shared.lock().sick == Some(host) {

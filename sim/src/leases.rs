@@ -1,4 +1,4 @@
-//! Who holds what, as seen on the way between coordinators and workers.
+//! Leases of workers, as observed between coordinators and workers.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -12,34 +12,34 @@ use crate::tasks::{Unit, behind, counted, units};
 /// Number of a session that the switch has relayed.
 pub(crate) type SessionNumber = u64;
 
-/// Leases that were seen to be given out, brought along, and ended.
+/// Leases that were observed to be granted, brought along by workers, and ended.
 #[derive(Debug, Default)]
 pub(crate) struct Leases {
-    /// All that were given out, and what each covers.
+    /// All granted leases, with the units that each covers.
     given: BTreeMap<(TaskKey, Epoch), Vec<Unit>>,
-    /// Of each unit's leases the latest, for epochs grow with the log, and the one that it is a copy of.
+    /// Latest lease of each unit, and the lease that it copies. Epochs grow with the log.
     latest: BTreeMap<Unit, (Epoch, Option<Epoch>)>,
-    /// Leases that a worker brought along, and the sessions in which nobody has taken them away again.
+    /// Leases that a worker brought along, with the sessions in which they were not revoked.
     brought: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
-    /// What the log counts, under leases that nobody has brought along.
+    /// Units that the log counts under leases that no worker brought along.
     counted: BTreeMap<Unit, (TaskKey, Epoch)>,
-    /// The jobs that the log knows.
+    /// Jobs that are in the log.
     specs: BTreeMap<JobId, Box<JobSpec>>,
-    /// The build of the engine that works under a lease.
+    /// Engine build of the worker that holds a lease.
     engines: BTreeMap<(TaskKey, Epoch), String>,
-    /// The build whose a frame is.
+    /// Engine build of a frame.
     built: BTreeMap<(JobId, u32), String>,
     sessions: SessionNumber,
-    /// Whose each epoch is.
+    /// Task of each epoch.
     epochs: BTreeMap<Epoch, TaskKey>,
-    /// Leases that are copies, and of which.
+    /// Leases that are copies, each with the epoch of the original.
     copies: BTreeMap<(TaskKey, Epoch), Epoch>,
-    /// Attempts whose failure was reported, a lease and its copy being one, and those that the log counts.
+    /// Attempts that were reported as failed, and number of failures in the log. A lease and its copy are one attempt.
     failures: BTreeMap<TaskKey, (BTreeSet<Epoch>, usize)>,
 }
 
 impl Leases {
-    /// A session of a worker of this build begins, and these leases come with it.
+    /// Notes that a session of a worker with this build begins and brings these leases along.
     pub(crate) fn joined(&mut self, engine: &str, held: impl Iterator<Item = (TaskKey, Epoch)>) -> SessionNumber {
         self.sessions += 1;
         for lease in held {
@@ -49,7 +49,7 @@ impl Leases {
         self.sessions
     }
 
-    /// A coordinator gives a lease out to a worker of this build; what is wrong with that.
+    /// Notes and checks a lease that a coordinator grants to a worker with this build.
     pub(crate) fn assigned(&mut self, engine: &str, lease: &Assignment) -> Option<Violation> {
         let (key, units) = ((lease.task, lease.epoch), units(lease));
         self.engines.insert(key, engine.to_owned());
@@ -67,7 +67,7 @@ impl Leases {
         }
     }
 
-    /// A log begins that knows of nothing: what counted before does not.
+    /// Begins an empty log: earlier results do not count any more.
     pub(crate) fn anew(&mut self) {
         self.counted.clear();
         self.specs.clear();
@@ -75,18 +75,18 @@ impl Leases {
         self.failures.clear();
     }
 
-    /// A worker tells a coordinator that it has not done a task.
+    /// Notes that a worker reports a task as failed.
     pub(crate) fn failed(&mut self, task: TaskKey, epoch: Epoch) {
         let attempt = self.copies.get(&(task, epoch)).copied().unwrap_or(epoch);
         self.failures.entry(task).or_default().0.insert(attempt);
     }
 
-    /// What a lease covers that was given out.
+    /// Returns the units that a granted lease covers.
     pub(crate) fn units(&self, task: TaskKey, epoch: Epoch) -> &[Unit] {
         self.given.get(&(task, epoch)).map_or(&[], Vec::as_slice)
     }
 
-    /// The latest leases of all that were given out, and the steps that each covers.
+    /// Returns the latest granted leases, with the steps that each covers.
     pub(crate) fn last_given(&self, count: usize) -> impl Iterator<Item = (TaskKey, Epoch, Range<u32>)> {
         self.epochs.iter().rev().take(count).filter_map(|(&epoch, &task)| {
             let units = self.units(task, epoch);
@@ -94,14 +94,14 @@ impl Leases {
         })
     }
 
-    /// A coordinator ends a lease.
+    /// Notes that a coordinator revokes a lease.
     pub(crate) fn revoked(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch) {
         if let Some(sessions) = self.brought.get_mut(&(task, epoch)) {
             sessions.remove(&session);
         }
     }
 
-    /// Keeps nothing of this job and those before it: what the log counts of them from now on is wrong.
+    /// Drops this job and all earlier ones. The log must not count any more results of them.
     pub(crate) fn forget_until(&mut self, job: JobId) {
         self.given.retain(|(task, _), _| task.job > job);
         self.latest.retain(|unit, _| unit.job > job);
@@ -115,12 +115,12 @@ impl Leases {
         self.failures.retain(|task, _| task.job > job);
     }
 
-    /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the latest of
-    /// all that it covers, the one that this is a copy of, or one that a worker has brought along and that may have been
-    /// adopted; and only one of the build whose the frame is.
+    /// Checks a record that is being written. A result may count only under a valid lease: the latest lease of all its units, the
+    /// lease that the latest one copies, or a lease that a worker brought along and that may have been adopted. The worker's build
+    /// must be that of the frame.
     pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
         match fact {
-            // Nothing stands still here for so long.
+            // No task of the simulation stalls.
             Fact::Failed { task, failure: Failure::Stalled { .. }, .. } => {
                 return Some(Violation::Stalled { task: *task });
             }
@@ -188,7 +188,8 @@ impl Leases {
         self.superseded(units)
     }
 
-    /// What counts is not given out again, but for a copy, whether the lease that came after its own is seen before or later.
+    /// Checks that a counted unit is not leased again, except as a copy. The later lease may be observed before or after the
+    /// result.
     fn superseded(&self, units: &[Unit]) -> Option<Violation> {
         units.iter().find_map(|unit| {
             let (&(task, epoch), &(later, copy_of)) = (self.counted.get(unit)?, self.latest.get(unit)?);

@@ -1,13 +1,13 @@
-//! The farm in a simulated world: the real coordinator and worker code over a simulated network and clock, with faults.
+//! Simulation of the farm: the real coordinator and worker code runs over a simulated network and clock, with faults.
 //!
-//! One number, the seed, decides everything: latencies, who comes and what they want, which faults come and when, how long tasks
-//! take and what becomes of them. As it runs, what is written, told, given out and removed is held against what must be true of it
-//! at that moment, and in the end the log and the frames are ([`Violation`]). A seed that fails fails again.
+//! The seed, one number, decides everything: latencies, people and their jobs, faults and their times, durations and fates of
+//! tasks. While a world runs, each record, message, lease and removal is checked against what must be true at that moment. At the
+//! end, the log and the frames are checked ([`Violation`]). A failing seed fails every time.
 //!
-//! That the audit would see it is shown by planted bugs, one at a time: `sim/plants/run` gives the seed that finds each.
+//! Planted bugs, one at a time, show that the audit detects errors: `sim/plants/run` prints the seed that finds each.
 //!
-//! Simulated are the network (turmoil), the clock, the disk under the log and the time that a task takes. Real
-//! are the scheduler, the coordinator's shell, the wire, the sessions, the rendering and the reducing of real frames.
+//! Simulated parts are the network (turmoil), the clock, the disk under the log and the duration of tasks. Real parts are the
+//! scheduler, the coordinator's shell, the wire protocol, the sessions, and the rendering and reducing of real frames.
 #![deny(missing_docs)]
 
 mod audit;

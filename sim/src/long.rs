@@ -1,4 +1,4 @@
-//! Commands that live in one world for a long time.
+//! Commands that run one world for a long time.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -6,30 +6,31 @@ use std::time::Duration;
 use clap::Subcommand;
 use femc_sim::{Gauge, Soak, Soaked, Tells};
 
-/// What to live through.
+/// Kind of long run.
 #[derive(Debug, Subcommand)]
 pub enum Long {
     Soak(Args),
 }
 
-/// Live in one world for a long time, with people, storms of faults and an operator, and check that nothing grows
+/// Run one world for a long time, with people, storms of faults and an operator, and check that nothing grows
 ///
-/// Storms come every simulated minute. Three people submit job after job, pause, cancel, retry, change priorities; an operator
-/// drains workers and removes garbage. Each job's frames and its part of the log are audited after its end. Jobs that ended are kept
-/// for ten minutes. From 4 hours on it is judged whether memory, log and store stay as they are: the second half of the measurements
-/// may have at most 5 % more than the first, of which the first eighth does not count. Exit code 1 if anything went wrong.
+/// A storm of faults begins every simulated minute. Three people submit job after job, pause, cancel, retry, change priorities; an
+/// operator drains workers and removes garbage. Each job's frames and its part of the log are audited after its end. Ended jobs
+/// expire after ten minutes. Runs of at least 4 hours also check that memory, log and store do not grow: the mean of the second
+/// half of the measurements may exceed that of the first half by at most 5 %, without the first eighth of all measurements. Exit
+/// code 1 if anything went wrong.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// How long people come, simulated
+    /// Simulated hours for which people submit jobs
     #[arg(long, default_value_t = 24.0, value_parser = hours)]
     hours: f64,
-    /// Decides everything
+    /// Seed that decides everything
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Print all that was said
+    /// Print all messages
     #[arg(long)]
     story: bool,
-    /// Print what came of it as JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -39,7 +40,7 @@ fn hours(text: &str) -> Result<f64, String> {
 }
 
 impl Long {
-    /// Lives.
+    /// Runs the world.
     pub fn run(&self) -> anyhow::Result<ExitCode> {
         match self {
             Self::Soak(args) => soak(args),

@@ -1,4 +1,4 @@
-//! `femc-sim`: lives through simulated farms, one for each seed, and says which went wrong.
+//! `femc-sim`: runs simulated farms, one for each seed, and reports which failed.
 
 mod long;
 
@@ -11,7 +11,7 @@ use clap::Parser;
 use femc_sim::{Outcome, Planned, Tells, run};
 use serde::{Deserialize, Serialize};
 
-/// Runs the farm in simulated worlds with people and faults and checks all that it promises
+/// Runs the farm in simulated worlds with people and faults and checks its guarantees
 #[derive(Debug, Parser)]
 #[command(
     name = "femc-sim",
@@ -25,27 +25,27 @@ use serde::{Deserialize, Serialize};
 struct Args {
     #[command(subcommand)]
     long: Option<long::Long>,
-    /// How many seeds
+    /// Number of seeds
     #[arg(long, default_value_t = 200)]
     seeds: u64,
-    /// The first seed
+    /// First seed
     #[arg(long, default_value_t = 0)]
     from: u64,
-    /// Processes that live through worlds side by side
+    /// Processes that run worlds in parallel
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=1024))]
     processes: u64,
-    /// Live through every n-th world twice and compare; 0: none
+    /// Run every n-th world twice and compare; 0: none
     #[arg(long, default_value_t = 10)]
     twice_each: u64,
-    /// Print all that was said
+    /// Print all messages
     #[arg(long, requires = "from")]
     story: bool,
-    /// Print the sum as JSON
+    /// Print the summary as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// What all worlds came to.
+/// Summary of all worlds.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Sum {
     seeds: u64,
@@ -54,7 +54,7 @@ struct Sum {
     stale_messages: u64,
     fired: BTreeMap<String, u64>,
     counts: BTreeMap<String, u64>,
-    /// Worlds in which each of these faults and deeds came about.
+    /// Number of worlds in which each fault or action occurred.
     worlds: BTreeMap<String, u64>,
 }
 
@@ -105,7 +105,7 @@ fn main() -> anyhow::Result<ExitCode> {
     Ok(if sum.wrong.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// The worlds one after the other.
+/// Runs the worlds one after the other in this process.
 fn here(args: &Args) -> anyhow::Result<Sum> {
     let mut sum = Sum::default();
     for seed in args.from..args.from + args.seeds {
@@ -142,7 +142,7 @@ fn difference(first: &Outcome, second: &Outcome) -> Option<String> {
     (first.trace != second.trace).then(|| format!("the seed does not give the same world again{at}"))
 }
 
-/// The worlds in processes of their own, for those of one process cannot live side by side.
+/// Runs the worlds in separate processes, because worlds of one process cannot run in parallel.
 fn elsewhere(args: &Args) -> anyhow::Result<Sum> {
     let program = std::env::current_exe()?;
     let share = args.seeds.div_ceil(args.processes);

@@ -1,4 +1,4 @@
-//! Connections of the simulated network in the terms of the wire.
+//! Connections of the simulated network, for the wire protocol.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
@@ -16,25 +16,25 @@ use turmoil::net::{TcpListener, TcpStream};
 
 use crate::shared::Shared;
 
-/// Every server's port.
+/// Port of every server.
 pub(crate) const PORT: u16 = 7878;
 
-/// Through which the workers reach the coordinator that leads.
+/// Host through which workers reach the leading coordinator.
 pub(crate) const SWITCH: &str = "switch";
 
-/// A refusal takes so long.
+/// Duration of a refused connection attempt.
 const REFUSAL: Duration = Duration::from_millis(10);
 
-/// The address of a host.
+/// Returns the address of a host.
 pub(crate) fn url(host: &str) -> String {
     format!("http://{host}:{PORT}")
 }
 
-/// Who can be reached.
+/// Reachable hosts.
 #[derive(Debug, Default)]
 pub(crate) struct Reach {
     listening: BTreeSet<String>,
-    /// Hosts between which and the switch nothing goes.
+    /// Hosts that are disconnected from the switch.
     cut: BTreeSet<String>,
 }
 
@@ -53,8 +53,8 @@ impl Reach {
     }
 }
 
-/// Connects from the host of this name. The simulated network would refuse what leads nowhere, too, but keep two kilobytes of
-/// each such attempt for ever: those do not get as far.
+/// Returns a connector of the host of this name. Connection attempts to unreachable hosts are refused here. The simulated network
+/// would refuse them, too, but it would keep two kilobytes of each attempt forever.
 pub(crate) fn dial(shared: &Shared, from: &str) -> Dial {
     let (shared, from) = (shared.clone(), from.to_owned());
     Dial::by(move |to, port| {
@@ -69,8 +69,8 @@ pub(crate) fn dial(shared: &Shared, from: &str) -> Dial {
     })
 }
 
-/// A connection that breaks when nothing has come for long: the simulated network sends nothing again, so the end of one whose
-/// last word was lost would never be heard.
+/// A connection that breaks after a long silence. The simulated network does not retransmit, so the end of a connection whose last
+/// message was lost would never be noticed.
 #[derive(Debug)]
 struct Wire {
     stream: TcpStream,
@@ -78,7 +78,7 @@ struct Wire {
 }
 
 impl Wire {
-    /// Longer than anybody who is there is silent.
+    /// Longer than any live host is silent.
     const SILENCE: Duration = Duration::from_secs(60);
 
     fn of(stream: TcpStream) -> Self {
@@ -112,8 +112,8 @@ impl AsyncWrite for Wire {
     }
 }
 
-/// Listens on the current host, which has this name; the connections end when this is dropped. Waits for the port: what held
-/// it before may still be on its way out.
+/// Listens on the current host, which has this name. Dropping the stream ends its connections. Waits until the port is free: its
+/// previous owner may still be closing.
 pub(crate) async fn listen(shared: &Shared, host: &str) -> impl Stream<Item = io::Result<Link>> + Send + 'static {
     let listener = loop {
         match TcpListener::bind(("0.0.0.0", PORT)).await {
@@ -132,7 +132,7 @@ pub(crate) async fn listen(shared: &Shared, host: &str) -> impl Stream<Item = io
     })
 }
 
-/// Whether the server is there, and those who wait for its end, by number: woken in that order, always the same.
+/// State of a server, with the wakers that wait for its end, by number. They are woken in that order, so runs are reproducible.
 #[derive(Debug, Default)]
 struct Life {
     is_over: bool,
@@ -155,7 +155,7 @@ impl Drop for Server {
     }
 }
 
-/// A server's end of a connection: nothing more comes when the server is gone.
+/// The server's end of a connection. Reading fails after the server has ended.
 #[derive(Debug)]
 struct Accepted {
     stream: Wire,
@@ -164,7 +164,7 @@ struct Accepted {
 }
 
 impl Drop for Accepted {
-    /// A waker keeps the memory of its task, also of one that has ended.
+    /// Removes the waker: it would keep the memory of its task, even after the task has ended.
     fn drop(&mut self) {
         self.life.lock().unwrap_or_else(PoisonError::into_inner).wakers.remove(&self.number);
     }

@@ -1,5 +1,4 @@
-//! Who comes to the farm: people with jobs, who change their minds, ask twice, and do not wait for answers; and what they may
-//! expect.
+//! People with jobs who change their minds, ask twice, and do not wait for answers. Also checks what the farm answers them.
 
 use std::time::Duration;
 
@@ -21,18 +20,18 @@ use crate::shared::Shared;
 use crate::shelf::{Harm, Shelf};
 use crate::stage::Stage;
 
-/// Between two tries.
+/// Time between two tries.
 const AGAIN: Duration = Duration::from_millis(300);
 
-/// What is wrong with the tasks of a job; its name says it, which decides no pixel.
+/// Fault in the tasks of a job. The job's name tells it; the name does not change any pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Curse {
     Nothing,
-    /// Now and then one panics.
+    /// A task panics now and then.
     NowAndThen,
-    /// One of them panics each time.
+    /// One task panics each time.
     Always,
-    /// One of them kills its worker each time.
+    /// One task kills its worker each time.
     Deadly,
 }
 
@@ -48,18 +47,18 @@ impl Curse {
         }
     }
 
-    /// That of a job.
+    /// Returns the curse of a job.
     pub(crate) fn of(spec: &JobSpec) -> Self {
         Self::ALL.into_iter().find(|curse| curse.name() == spec.name).unwrap_or(Self::Nothing)
     }
 
-    /// Whether a job may come to nothing because of it, however often somebody tries.
+    /// Checks whether a job may fail however often it is retried.
     pub(crate) fn is_final(self) -> bool {
         matches!(self, Self::Always | Self::Deadly)
     }
 }
 
-/// What comes to a person's mind while a job runs.
+/// A person's change of mind while a job runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Whim {
     Nothing,
@@ -70,7 +69,7 @@ pub(crate) enum Whim {
 }
 
 impl Whim {
-    /// Half of the time nothing.
+    /// Draws a whim; half of the time, nothing.
     pub(crate) fn pick(rng: &mut SmallRng) -> Self {
         match rng.random_range(0..10) {
             0 => Self::PauseAWhile,
@@ -82,36 +81,36 @@ impl Whim {
     }
 }
 
-/// How a job may end.
+/// Permitted end of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Expected {
     Done,
     Cancelled,
-    /// Nobody heard whether the cancellation or the end came first.
+    /// Nobody knows whether the cancellation or the end came first.
     Either,
 }
 
-/// A job that somebody wants done.
+/// A job that a person wants done.
 #[derive(Debug, Clone)]
 pub(crate) struct Errand {
     pub(crate) key: String,
     pub(crate) spec: JobSpec,
     pub(crate) stage: Stage,
     pub(crate) whim: Whim,
-    /// What is done to it is done after so long, and undone after so long again.
+    /// Time until the whim is carried out, and time from then until it is undone.
     pub(crate) pauses: [Duration; 2],
 }
 
-/// How people are.
+/// Habits of people.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Manner {
-    /// Between two questions whether a job has ended.
+    /// Time between two status requests.
     pub(crate) look: Duration,
-    /// A job that takes longer has come to nothing.
+    /// Time after which an unfinished job counts as stuck.
     pub(crate) patience: Duration,
 }
 
-/// Somebody with a job.
+/// A person with a job.
 pub(crate) struct Person<'a> {
     pub(crate) shared: &'a Shared,
     pub(crate) shelf: &'a Shelf,
@@ -120,12 +119,12 @@ pub(crate) struct Person<'a> {
 }
 
 impl Person<'_> {
-    /// Submits a job, stays with it to its end, and brings its frames home; the job's number at the end.
+    /// Submits a job, follows it to its end and fetches its frames. Returns the number of the job at the end.
     pub(crate) async fn runs(&mut self, errand: &Errand) -> anyhow::Result<JobId> {
         loop {
             let (asked, job) = self.submits(errand).await;
             let followed = tokio::time::timeout(self.manner.patience, self.follows(asked, job, errand)).await;
-            // Where the log is lost, so is the job.
+            // If the log is lost, the job is lost, too.
             if self.shared.is_over(asked) {
                 self.shared.lock().did("submitted anew");
                 continue;
@@ -142,7 +141,7 @@ impl Person<'_> {
         }
     }
 
-    /// Until there is a job; sometimes without waiting for the first answer, sometimes twice.
+    /// Submits a job until it is accepted. Sometimes does not wait for the first answer, sometimes submits twice.
     async fn submits(&mut self, errand: &Errand) -> (Asked, JobId) {
         let (key, mut spec) = (&errand.key, errand.spec.clone());
         if self.rng.random_range(0..3) == 0 {
@@ -162,7 +161,7 @@ impl Person<'_> {
             if self.rng.random_range(0..3) > 0 || self.shared.is_over(asked) {
                 return (asked, job);
             }
-            // The same key is the same job, whatever else is asked for; or nothing at all.
+            // The same key means the same job, even if the rest of the submission differs. In half of the cases nothing differs.
             if self.rng.random_range(0..2) == 0 {
                 spec.priority = 100 - spec.priority;
             }
@@ -175,9 +174,9 @@ impl Person<'_> {
         }
     }
 
-    /// The job has ended, and its key is still its key.
+    /// Submits an ended job again: its key must still refer to it.
     async fn comes_again(&self, asked: Asked, errand: &Errand) {
-        // Where jobs are forgotten, it might be another one, which nobody would wait for.
+        // If jobs expire, this could be a new job that nobody waits for.
         if self.shared.lock().chronicle.keep_ended.is_some() || self.shared.is_over(asked) {
             return;
         }
@@ -188,7 +187,7 @@ impl Person<'_> {
         }
     }
 
-    /// The job is under way, and its key is its key.
+    /// Submits a running job again: its key must refer to it.
     async fn asks_twice(&self, asked: Asked, errand: &Errand) {
         let now = self.shared.asks();
         if self.shared.is_over(asked) {
@@ -208,7 +207,7 @@ impl Person<'_> {
         .await
     }
 
-    /// Stays with a job to its end, and says what was wrong with it.
+    /// Follows a job to its end, and returns the violations.
     async fn follows(&mut self, asked: Asked, job: JobId, errand: &Errand) -> anyhow::Result<Vec<Violation>> {
         let [first, second] = errand.pauses;
         if errand.whim != Whim::Nothing {
@@ -216,7 +215,7 @@ impl Person<'_> {
         }
         let mut expected = self.indulges(asked, job, errand.whim, second).await;
         let curse = Curse::of(&errand.spec);
-        // Of what fails now and then, something may fail three times.
+        // A task that fails now and then may fail three times by chance.
         let mut tries = if curse.is_final() { 1 } else { 20 };
         let mut harms = self.rng.random_range(0..4) == 0;
         let (status, files) = loop {
@@ -231,7 +230,7 @@ impl Person<'_> {
                 }
                 match self.fetches(asked, job, errand.stage.result, status.state).await {
                     Fetched::Files(files) if files.len() >= status.frames_done as usize => break (status, files),
-                    // What is damaged is rendered again.
+                    // A damaged result is rendered again.
                     Fetched::Files(_) | Fetched::Refused => {
                         tokio::time::sleep(AGAIN).await;
                         continue;
@@ -240,7 +239,7 @@ impl Person<'_> {
                 }
             }
             tries -= 1;
-            // It may have failed because its scene was lost.
+            // The job may have failed because its scene was lost.
             let put = async |client: Client| client.put(errand.stage.bundle.clone()).await;
             let _ = answer(self.shared, asked, &put).await;
             if self.steer(asked, job, Control::Retry).await.is_ok() {
@@ -278,7 +277,7 @@ impl Person<'_> {
         Ok(wrong)
     }
 
-    /// Until the job has ended; `None` if it has been forgotten, or its log is lost.
+    /// Waits until the job has ended. Returns `None` if the job has expired or its log is lost.
     async fn waits(&mut self, asked: Asked, job: JobId, errand: &Errand) -> Option<JobStatus> {
         loop {
             let now = self.shared.asks();
@@ -306,7 +305,7 @@ impl Person<'_> {
         }
     }
 
-    /// Something happens to the result of a finished frame.
+    /// Damages the result of a finished frame.
     async fn harms_a_result(&mut self, asked: Asked, job: JobId, role: Role) {
         let frames = answer(self.shared, asked, &async |client: Client| client.frames(job).await).await;
         let Ok(Some(result)) = frames.map(|frames| frames.iter().find_map(|frame| frame.output(role))) else { return };
@@ -318,8 +317,7 @@ impl Person<'_> {
         }
     }
 
-    /// The files of its finished frames. Of a job that was cancelled nothing is rendered again: what was damaged is not among
-    /// them.
+    /// Fetches the files of the job's finished frames. A cancelled job renders nothing again, so damaged files of it have no bytes.
     async fn fetches(&self, asked: Asked, job: JobId, role: Role, state: JobState) -> Fetched {
         let is_gone = |digest: &Digest| state == JobState::Cancelled && self.shared.lock().harmed.contains(digest);
         let fetch = async |client: Client| {
@@ -359,8 +357,8 @@ impl Person<'_> {
         answered
     }
 
-    /// Does what comes to the person's mind; how the job may end then. What a person has asked for in vain may still be on its
-    /// way: the next word waits for so long that it comes last.
+    /// Carries out the person's whim, and returns how the job may end then. A request without an answer may still be on its way.
+    /// The pause before the next request is long enough that the next one arrives last.
     async fn indulges(&self, asked: Asked, job: JobId, whim: Whim, pause: Duration) -> Expected {
         let did = |what| self.shared.lock().did(what);
         let steer = async |control| self.steer(asked, job, control).await;
@@ -371,7 +369,7 @@ impl Person<'_> {
                     did("paused");
                 }
                 tokio::time::sleep(pause).await;
-                // One that has ended meanwhile need not go on.
+                // A job that has ended meanwhile need not resume.
                 let _ = steer(Control::Resume).await;
                 Expected::Done
             }
@@ -380,7 +378,7 @@ impl Person<'_> {
                 Err(_) => Expected::Either,
             },
             Whim::CancelAndRetry => {
-                // What has ended cannot be cancelled, and what is done cannot be tried again: both are well.
+                // An ended job cannot be cancelled, and a finished job cannot be retried. Both refusals are right.
                 let _ = steer(Control::Cancel).await;
                 tokio::time::sleep(pause).await;
                 if steer(Control::Retry).await.is_ok() {
@@ -397,7 +395,7 @@ impl Person<'_> {
         }
     }
 
-    /// What there is to say of a job that does not end.
+    /// Describes a job that does not end.
     async fn stuck(&self, asked: Asked, job: JobId) -> Violation {
         let state = match answer(self.shared, asked, &async |client: Client| client.status(job).await).await {
             Ok(status) => format!("{:?}, waiting: {:?}", status.state, status.waits),
@@ -418,17 +416,17 @@ fn ended(spec: &JobSpec, status: &JobStatus, expected: Expected) -> Vec<Violatio
     }
 }
 
-/// What came of sending for a job's files.
+/// Result of fetching a job's files.
 enum Fetched {
-    /// Of each finished frame, where it is there.
+    /// Finished frames, each with its file unless that is damaged.
     Files(Vec<(FrameRecord, Option<Bytes>)>),
-    /// One is not there, or damaged.
+    /// A file is missing or damaged.
     Refused,
-    /// The job has been forgotten, or its log is lost.
+    /// The job has expired, or its log is lost.
     Gone,
 }
 
-/// At least one of them, in their order, and at most so many.
+/// Draws at least one and at most `most` of the frames, in their order.
 pub(crate) fn some(frames: &[u32], most: usize, rng: &mut SmallRng) -> Vec<u32> {
     let chosen: Vec<u32> = frames.iter().copied().filter(|_| rng.random_range(0..2) == 0).take(most).collect();
     if chosen.is_empty() { frames.iter().copied().take(most).collect() } else { chosen }
@@ -438,7 +436,7 @@ fn over() -> Refusal {
     Refusal::Unavailable { message: "the log is gone".into() }
 }
 
-/// Asks the coordinator that leads until it answers, be it with a refusal; or until another log has begun than was asked for.
+/// Sends a request to the leading coordinator until it answers, also with a refusal. Stops when the log of the question is lost.
 pub(crate) async fn answer<T>(
     shared: &Shared,
     asked: Asked,
@@ -475,7 +473,7 @@ pub(crate) async fn drain_a_while(shared: &Shared, rng: &mut SmallRng, most: Dur
     open_all(shared).await;
 }
 
-/// Every worker that is there may work.
+/// Ends the drain of every connected worker.
 pub(crate) async fn open_all(shared: &Shared) {
     let undo = async |client: Client| -> Result<Vec<WorkerId>, CallError> {
         let mut opened = Vec::new();
@@ -486,6 +484,6 @@ pub(crate) async fn open_all(shared: &Shared) {
         }
         Ok(opened)
     };
-    // One that has left in between is not there.
+    // A worker may have left in between.
     let _ = answer(shared, shared.asks(), &undo).await;
 }

@@ -1,4 +1,4 @@
-//! What people asked for and were told, each held against the log of that time.
+//! Requests of people and the answers to them. Each answer is checked against the log of its time.
 
 use std::collections::BTreeMap;
 
@@ -8,14 +8,14 @@ use crate::audit::Violation;
 use crate::chronicle::Place;
 use crate::shared::Shared;
 
-/// What people asked for, and what they were told of this log.
+/// Requests of people, and what they know about the current log.
 #[derive(Debug, Default)]
 pub(crate) struct Answers {
-    /// What people asked for, whether they heard an answer or not.
+    /// Controls that people requested, with or without an answer.
     pub(crate) controls: Vec<(JobId, Control)>,
-    /// Jobs by the key that somebody submitted them with, and how long the log was when he was first told.
+    /// Jobs by the key of their submission, each with the position of the log at the first answer.
     keys: BTreeMap<String, (JobId, Place)>,
-    /// Tasks that are put aside: after how many attempts, and how long the log was when somebody asked and when he heard it.
+    /// Quarantined tasks, each with its attempts and the positions of the log at the question and at the answer.
     aside: BTreeMap<TaskKey, (u32, [Place; 2])>,
 }
 
@@ -27,7 +27,7 @@ impl Answers {
     }
 }
 
-/// When a question was asked: of which log, and how long that was then.
+/// Time of a question: the log and its length then.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Asked {
     log: u32,
@@ -40,7 +40,7 @@ impl Shared {
         Asked { log: state.disk.logs, place: state.chronicle.place() }
     }
 
-    /// Whether another log has begun since.
+    /// Checks whether another log has begun since the question.
     pub(crate) fn is_over(&self, asked: Asked) -> bool {
         self.lock().disk.logs != asked.log
     }
@@ -57,7 +57,7 @@ impl Shared {
         }
     }
 
-    /// Somebody's job was taken.
+    /// Checks the answer to a submission.
     pub(crate) fn hears_job(&self, asked: Asked, key: &str, job: JobId) {
         self.heard(asked, |state| {
             let heard = (job, state.chronicle.place());
@@ -71,7 +71,7 @@ impl Shared {
         });
     }
 
-    /// Somebody is about to steer a job.
+    /// Notes that a person is about to send a control.
     pub(crate) fn steers(&self, job: JobId, control: &Control) {
         let mut state = self.lock();
         let asked = (job, control.clone());
@@ -80,7 +80,7 @@ impl Shared {
         }
     }
 
-    /// And was answered.
+    /// Checks the answer to a control.
     pub(crate) fn hears_steered(&self, asked: Asked, job: JobId, control: &Control, answer: &Result<(), Refusal>) {
         self.heard(asked, |state| match answer {
             Ok(()) => state.chronicle.holds(job, control, asked.place),
@@ -90,7 +90,7 @@ impl Shared {
         });
     }
 
-    /// Somebody was told how a job stands.
+    /// Checks the answer to a status request.
     pub(crate) fn hears_status(&self, asked: Asked, job: JobId, answer: &Result<JobStatus, Refusal>) {
         self.heard(asked, |state| match answer {
             Ok(status) => {
@@ -105,7 +105,7 @@ impl Shared {
         });
     }
 
-    /// Somebody got an artifact.
+    /// Checks the bytes of a fetched artifact.
     pub(crate) fn receives(&self, digest: &Digest, bytes: &[u8]) {
         let found = Digest::of(bytes);
         if found != *digest {
@@ -113,7 +113,7 @@ impl Shared {
         }
     }
 
-    /// Somebody was told of all jobs.
+    /// Checks a list of all jobs.
     pub(crate) fn hears_list(&self, asked: Asked, answer: &[JobStatus]) {
         self.heard(asked, |state| {
             let listed: Vec<JobId> = answer.iter().map(|status| status.job).collect();
@@ -125,7 +125,7 @@ impl Shared {
 }
 
 impl crate::shared::State {
-    /// Attempts that became fewer since somebody was told of them.
+    /// Finds attempts that decreased since an earlier answer.
     fn fewer(&mut self, status: &JobStatus, asked: Place) -> Option<Violation> {
         let heard = self.chronicle.place();
         let mut wrong = None;
@@ -145,7 +145,7 @@ impl crate::shared::State {
         wrong
     }
 
-    /// A job that somebody was told of is not there: it was forgotten, or that is wrong.
+    /// Checks a missing job: it must have expired.
     fn gone(&self, job: JobId) -> Option<Violation> {
         (!self.chronicle.has_forgotten(job)).then_some(Violation::Gone { job })
     }

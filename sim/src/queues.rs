@@ -1,8 +1,8 @@
-//! Promises about the queues of workers. The messages between coordinators and workers are checked against them.
+//! Guarantees about the queues of workers. The messages between coordinators and workers are checked against them.
 //!
-//! Depth: the tasks that wait at a worker take little time, by the pace of their own job and stage. Back-off: a worker on which the tasks
-//! of a job fail pauses, each time for twice as long. Order: no worker is leased a task that computes while it could join what is
-//! finished. Drain: a drained worker keeps no task that it has not begun.
+//! Depth: the tasks that wait at a worker take little time, by the pace of their own job and stage. Back-off: a worker on which
+//! tasks of a job fail pauses, each time for twice as long. Order: no worker is leased a task that computes while it could join
+//! finished results. Drain: a drained worker keeps no task that it has not begun.
 //!
 //! The checks use the durations that the simulation has drawn. They never ask the scheduler.
 
@@ -23,7 +23,7 @@ use crate::tasks::job_of;
 const LEASE_BITS: u32 = 40;
 /// Failures of different tasks, none done in between, after which a worker pauses.
 const FAILURES: usize = 3;
-/// Expected duration of a task while no task of its stage is done, in milliseconds.
+/// Expected duration of a task before any task of its stage is done, in milliseconds.
 const FIRST: u64 = 1_000;
 /// Time for which grants are kept.
 const MEMORY: Duration = Duration::from_secs(60);
@@ -41,9 +41,9 @@ fn lane(task: &TaskKey) -> Lane {
 /// A lease that a worker holds.
 #[derive(Debug, Clone, Copy)]
 struct Held {
-    /// Shortest time that its coordinator can expect of it, in milliseconds.
+    /// Shortest duration that its coordinator can expect, in milliseconds.
     least: u64,
-    /// Its worker was to pause before it.
+    /// Its worker had to pause before this lease.
     is_probe: bool,
     /// Its worker has reported that it is computed.
     is_computed: bool,
@@ -135,7 +135,7 @@ pub(crate) struct Queues {
     workers: BTreeMap<SessionNumber, WorkerSession>,
     /// Leases whose computation has begun.
     begun: BTreeSet<LeaseKey>,
-    /// Stages of jobs of which a coordinator knows a task that is done, and the time of that result.
+    /// Stages of jobs of which a coordinator knows a finished task, with the time of that result.
     known: BTreeMap<(u32, JobId, u16), Duration>,
     /// Stages of jobs whose leases outlived a session. A coordinator may expect too little time of their tasks.
     blurred: BTreeSet<(JobId, u16)>,
@@ -158,7 +158,7 @@ impl Queues {
         self.is_untimed |= faults.any(is_clock);
     }
 
-    /// Forgets the jobs of a log that is lost.
+    /// Drops the jobs of a log that is lost.
     pub(crate) fn anew(&mut self) {
         self.known.clear();
         self.blurred.clear();
@@ -170,7 +170,7 @@ impl Queues {
         self.workers.values_mut().for_each(|worker| worker.streaks.clear());
     }
 
-    /// Forgets this job and those before it.
+    /// Drops this job and all earlier ones.
     pub(crate) fn forget_until(&mut self, last: JobId) {
         self.begun.retain(|(_, task)| task.job > last);
         self.known.retain(|(_, job, _), _| *job > last);
@@ -181,7 +181,7 @@ impl Queues {
         self.jobs.retain(|job, _| *job > last);
     }
 
-    /// Notes the begin of a session.
+    /// Notes the start of a session.
     /// - `host`, `instance`: number of the worker's host, and its process.
     /// - `brought`: leases of an earlier session.
     pub(crate) fn joined(
@@ -233,8 +233,8 @@ impl Queues {
 }
 
 impl State {
-    /// Notes a message of a worker. A heartbeat of a drained worker that still has tasks waiting breaks a promise: workers send two
-    /// heartbeats a second, and the answer to the first one after the drain tells the worker to give its waiting tasks back.
+    /// Notes a message of a worker. A heartbeat of a drained worker that still has waiting tasks breaks a guarantee: workers send
+    /// two heartbeats per second, and the answer to the first one after the drain tells the worker to return its waiting tasks.
     pub(crate) fn note_message(
         &mut self,
         session: SessionNumber,
@@ -251,7 +251,7 @@ impl State {
                     }
                 }
                 let since = chronicle.drained_since(worker.instance)?;
-                /// More time where messages of workers may be late, so that several heartbeats in a row are.
+                /// Extra time for worlds in which messages of workers may be late, even several heartbeats in a row.
                 const LATE: Duration = Duration::from_secs(20);
                 let slack = if *late > 0 { LATE } else { Duration::ZERO } + chronicle.contents.patience.longest();
                 let waits = tasks.iter().find(|progress| progress.phase == Phase::Waiting)?;
@@ -280,7 +280,7 @@ impl State {
         }
     }
 
-    /// Notes that a coordinator has accepted a report, with which its lease ends.
+    /// Notes that a coordinator has accepted a report, which ends the lease.
     pub(crate) fn note_accepted(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch, now: Duration) {
         let is_done = self.reported.contains(&(task, epoch));
         let sick = self.sick;
@@ -300,7 +300,7 @@ impl State {
         }
     }
 
-    /// Notes a new lease, and returns the promises that it breaks.
+    /// Notes a new lease, and returns the guarantees that it breaks.
     pub(crate) fn judge_lease(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Vec<Violation> {
         let wrong = [
             self.judge_pause(session, lease, now),
@@ -335,12 +335,12 @@ impl State {
         wrong.into_iter().flatten().collect()
     }
 
-    /// Back-off: after three tasks of a job have failed on a worker, it is leased no task of the job for one second, and then one task.
-    /// Each further failure doubles the pause. The promise holds for lone workers and others: beside a healthy worker the pauses are
-    /// longer.
+    /// Back-off: after three tasks of a job have failed on a worker, it is leased no task of the job for one second, and then one
+    /// task. Each further failure doubles the pause. The guarantee holds for lone workers and others: beside a healthy worker the
+    /// pauses are longer.
     ///
-    /// The scheduler counts only the failures that it has accepted, so this begins with the acceptance. Failures of tasks that waited at the
-    /// worker when the pause began double nothing. Worlds with wrong clocks are left out.
+    /// The scheduler counts only the failures that it has accepted, so the check begins at the acceptance. Failures of tasks that
+    /// waited at the worker when the pause began do not double the pause. Worlds with wrong clocks are left out.
     fn judge_pause(&self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
         /// The coordinators' clocks count milliseconds.
         const SLACK: Duration = Duration::from_millis(10);
@@ -358,13 +358,13 @@ impl State {
         })
     }
 
-    /// Depth: one task may always wait behind the one that runs. A second one may wait if the first takes at most two seconds. More may
-    /// wait if all that wait take less than a fifth of a second together, up to 64 beyond the prefetched ones.
+    /// Depth: one task may always wait behind the running one. A second one may wait if the first takes at most two seconds. More
+    /// may wait if all waiting tasks take less than a fifth of a second together, up to 64 beyond the prefetched ones.
     ///
-    /// The time of a task is the shortest one by the pace of its own job and stage, and at most one second before a task of the stage is
-    /// done, for its coordinator then knows no pace. Two kinds of tasks count nothing: tiles that all take equally long whatever their
-    /// size, and tasks of a stage whose leases outlived a session, because their coordinator has not seen all of their time. Worlds with
-    /// wrong clocks are left out.
+    /// The duration of a task is the shortest one by the pace of its own job and stage. Before a task of the stage is done, it is
+    /// at most one second, because its coordinator knows no pace yet. Two kinds of tasks do not count: tiles that take equally long
+    /// whatever their size, and tasks of a stage whose leases outlived a session, because their coordinator has not seen all of
+    /// their time. Worlds with wrong clocks are left out.
     fn judge_depth(&mut self, session: SessionNumber, lease: &Assignment, now: Duration) -> Option<Violation> {
         let (_, limits) = self.queues.world.as_ref().filter(|_| !self.queues.is_untimed)?;
         let worker = self.queues.workers.get(&session).filter(|_| lane(&lease.task) == Lane::Compute)?;
@@ -385,12 +385,12 @@ impl State {
         is_too_much.then_some(Violation::Deep { instance, task, count, milliseconds, at: now })
     }
 
-    /// Order: a task that joins waits for no task that computes. After the last record about its frame, no worker that could take it is
-    /// leased a task that computes, of this job or of another.
+    /// Order: a task that joins does not wait for tasks that compute. After the last record about its frame, no worker that could
+    /// take it is leased a task that computes, of this job or of another.
     ///
-    /// The check looks back at the first lease of each such task. A worker could take it if it has the same build, held at most one other
-    /// task that joins, and no task of the job has failed there. The check allows for the longest time until what the log says is known
-    /// everywhere.
+    /// The check looks back at the first lease of each such task. A worker could take it if it has the same build, held at most one
+    /// other task that joins, and no task of the job has failed there. The check allows for the longest time until every host knows
+    /// what the log says.
     fn judge_order(&mut self, session: SessionNumber, lease: &Assignment) -> Option<Violation> {
         let queues = &self.queues;
         let TaskKey { job, stage, .. } = lease.task;

@@ -1,4 +1,4 @@
-//! What stands outside of all hosts: disks, the will of the seed, and what was seen.
+//! State outside of all hosts: disks, decisions of the seed, and observations.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,104 +18,104 @@ use crate::promises::Answers;
 use crate::queues::Queues;
 use crate::shares::Shares;
 
-/// A crash of the writing coordinator at a chosen write.
+/// Crash of the writing coordinator at a chosen write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Trap {
     /// Before the batch is on the disk.
     Before,
     /// When half of the batch is on the disk.
     Within,
-    /// After that, before anybody hears of it.
+    /// After the batch is on the disk, before any acknowledgement.
     After,
 }
 
-/// A machine's clock.
+/// Clock of a machine.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Wall {
-    /// Milliseconds that it is ahead, or behind.
+    /// Milliseconds that the clock is ahead; negative if it is behind.
     pub(crate) ahead: i64,
-    /// Thousandths that it is too fast, or too slow.
+    /// Thousandths that the clock is too fast; negative if it is too slow.
     pub(crate) drift: i64,
 }
 
 impl Wall {
-    /// What it shows when so much time has gone by.
+    /// Returns the displayed time after `passed`.
     pub(crate) fn shows(self, passed: Duration) -> Duration {
-        // It does not begin at 0, so that it can go back.
+        // The clock does not begin at 0, so that it can jump back.
         const FIRST: i64 = 3_600_000;
         let passed = passed.as_millis() as i64;
         Duration::from_millis((FIRST + passed + passed * self.drift / 1000 + self.ahead).max(0) as u64)
     }
 }
 
-/// Results, each with its lease.
+/// Results, each identified by its lease.
 pub(crate) type Reports = BTreeSet<(TaskKey, Epoch)>;
 
-/// What everybody can see or must not lose.
+/// State of a world that all hosts share or that outlives them.
 #[derive(Debug)]
 pub(crate) struct State {
     pub(crate) rng: SmallRng,
     pub(crate) disk: Disk,
-    /// The coordinator that leads.
+    /// Number of the leading coordinator.
     pub(crate) leader: usize,
-    /// Writes of the log until the trap springs.
+    /// Number of writes of the log until the planned crash.
     pub(crate) trap: Option<(u32, Trap)>,
-    /// The coordinator in which the trap sprang.
+    /// Coordinator that the planned crash has hit.
     pub(crate) sprung: Option<usize>,
     /// The coordinators' clocks.
     pub(crate) clocks: [Wall; COORDINATORS],
-    /// Of a hundred messages of workers, how many come twice, and how many come late.
+    /// Percentages of the workers' messages that arrive twice, and that arrive late.
     pub(crate) twice: u32,
     pub(crate) late: u32,
-    /// Of a hundred results of workers, how many state another size of an artifact than it has.
+    /// Percentage of the workers' results that state a wrong size of an artifact.
     pub(crate) misstated: u32,
-    /// Of a hundred sessions of workers, how many begin with a lease of another farm.
+    /// Percentage of the workers' sessions that begin with a lease of another farm.
     pub(crate) strays: u32,
-    /// Sizes of the artifacts of which another one was stated.
+    /// Real sizes of the artifacts whose size was misstated.
     pub(crate) sizes: BTreeMap<Digest, u64>,
-    /// Leases as seen on the way.
+    /// Leases as observed between coordinators and workers.
     pub(crate) leases: Leases,
-    /// What was wrong when it was written.
+    /// Violations so far.
     pub(crate) wrong: Vec<Violation>,
-    /// Results that were reported.
+    /// Results that workers reported.
     pub(crate) reported: Reports,
-    /// Results that were acknowledged.
+    /// Results that a coordinator acknowledged.
     pub(crate) accepted: Reports,
-    /// How often each kind of fault has really come about.
+    /// Number of times that each kind of fault took effect.
     pub(crate) fired: BTreeMap<&'static str, u32>,
-    /// History by the log.
+    /// History according to the log.
     pub(crate) chronicle: Chronicle,
-    /// What people asked for and were answered.
+    /// Requests of people and the answers to them.
     pub(crate) answers: Answers,
-    /// What people did, and how jobs ended.
+    /// Counts of actions of people and of ends of jobs.
     pub(crate) counts: BTreeMap<&'static str, u64>,
-    /// People who wait for their jobs.
+    /// Number of people who wait for their jobs.
     pub(crate) left: usize,
-    /// Messages that changed nothing, of jobs that ended.
+    /// Number of messages about ended jobs that changed nothing.
     pub(crate) stale: u64,
-    /// What owners are charged.
+    /// Charges of owners.
     pub(crate) shares: Shares,
-    /// What waits at workers.
+    /// Queues of workers.
     pub(crate) queues: Queues,
-    /// A worker on which all tasks fail, while the others are dead.
+    /// Worker on which all tasks fail while the others are dead.
     pub(crate) sick: Option<usize>,
-    /// The process of each worker that was started last.
+    /// Latest process of each worker.
     pub(crate) lives: BTreeMap<usize, u64>,
     /// Workers that a task has just killed.
     pub(crate) struck: Vec<usize>,
     pub(crate) trace: blake3::Hasher,
     pub(crate) story: Option<Vec<String>>,
     pub(crate) boots: u64,
-    /// Ends of connections that the simulated network keeps, also of attempts that were refused or given up.
+    /// Connection ends that the simulated network keeps, including refused and abandoned attempts.
     pub(crate) ends: usize,
     pub(crate) reach: Reach,
-    /// What something happened to in the store.
+    /// Artifacts that were damaged in the store.
     pub(crate) harmed: BTreeSet<Digest>,
-    /// Frames of which an artifact was lost.
+    /// Frames of which an artifact was damaged.
     pub(crate) robbed: BTreeSet<(JobId, u32)>,
 }
 
-/// One world's state; clones share it.
+/// Handle of a world's state. Clones share the state.
 #[derive(Debug, Clone)]
 pub(crate) struct Shared(Arc<Mutex<State>>);
 
@@ -162,12 +162,12 @@ impl Shared {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A duration below `most`.
+    /// Draws a duration below `most`.
     pub(crate) fn pause(&self, most: Duration) -> Duration {
         Duration::from_micros(self.lock().rng.random_range(0..most.as_micros().max(1) as u64))
     }
 
-    /// Writes down what happened.
+    /// Adds an event to the trace.
     pub(crate) fn note(&self, what: impl FnOnce() -> String) {
         let now = turmoil::sim_elapsed().unwrap_or_default();
         self.lock().note(now, &what());
@@ -183,7 +183,7 @@ impl State {
         }
     }
 
-    /// Somebody did this.
+    /// Counts an action.
     pub(crate) fn did(&mut self, what: &'static str) {
         *self.counts.entry(what).or_default() += 1;
     }
@@ -192,7 +192,7 @@ impl State {
         *self.fired.entry(fault).or_default() += 1;
     }
 
-    /// True for `percent` of a hundred.
+    /// Returns true with a probability of `percent`.
     pub(crate) fn chance(&mut self, percent: u32) -> bool {
         self.rng.random_range(0..100) < percent
     }

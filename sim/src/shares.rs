@@ -1,4 +1,4 @@
-//! What owners are charged, beside the time for which workers were seen to hold something of theirs.
+//! Checks the charges of owners against the observed time for which workers held their tasks.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -10,17 +10,17 @@ use crate::audit::Violation;
 use crate::faults::{Fault, WORKERS};
 use crate::leases::SessionNumber;
 
-/// Whose a session's time is.
+/// Payers of a session's time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Whose {
-    /// Of a job's owner.
+    /// Owner of a job.
     Own(String),
-    /// Of all those who wait for what jobs share.
+    /// Owners of all jobs that wait for a set of shared stages.
     Shared(JobId, Vec<String>),
 }
 
 impl Whose {
-    /// That of a task of a job.
+    /// Returns the payers of a task of a job.
     pub(crate) fn of(job: JobId, mut owners: Vec<String>) -> Self {
         match owners.pop() {
             Some(owner) if !job.is_shared() => Self::Own(owner),
@@ -35,7 +35,7 @@ impl Whose {
         }
     }
 
-    /// Whether it is the same owner's, or for the same.
+    /// Checks whether both have the same owner or the same shared stages.
     fn is_like(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Shared(job, _), Self::Shared(other, _)) => job == other,
@@ -44,36 +44,37 @@ impl Whose {
     }
 }
 
-/// A session's time.
+/// Time of a session that is being charged.
 #[derive(Debug)]
 struct Turn {
     whose: Whose,
-    /// It is whose it is since then.
+    /// Time since which it belongs to these payers.
     begun: Duration,
-    /// And divided among its owners until then.
+    /// Time until which it is divided among them.
     divided: Duration,
 }
 
-/// Time of workers, each moment of which is the owner's of the oldest lease that the worker holds.
+/// Time of workers by owner. Each moment belongs to the owner of the oldest lease that the worker holds.
 #[derive(Debug)]
 pub(crate) struct Shares {
-    /// Whether the coordinators' clocks are right: then nobody is charged more than was seen, and what nobody could see.
+    /// The coordinators' clocks are right. Then no charge exceeds the observed time plus the unobserved time.
     is_timed: bool,
-    /// Whether links and coordinators are well, too: then nobody is charged less.
+    /// Links and coordinators have no faults either. Then no charge is below the observed time.
     is_exact: bool,
-    /// Longest way of a message.
+    /// Longest latency of a message.
     way: Duration,
-    /// For which workers may have held something unseen: a lease that nobody renews lasts, and what is frozen comes later.
+    /// Time for which workers may have held unobserved leases: a lease lasts until it expires without renewal, and messages of a
+    /// frozen worker arrive later.
     unseen: Duration,
-    /// By owner; those who are not told have one.
+    /// Weights by owner. Owners without an entry have weight one.
     pub(crate) weights: BTreeMap<String, u32>,
     seen: BTreeMap<String, Duration>,
     under_way: BTreeMap<SessionNumber, Turn>,
-    /// Time of which an owner may have been charged more or less than his part, because others began or ceased to wait within it.
+    /// Time in which the charge of an owner may differ from the owner's share, because other owners joined or left the division.
     open: BTreeMap<String, Duration>,
-    /// How often that has changed, by owner.
+    /// Number of changes of a session's payers, by owner.
     changes: BTreeMap<String, u32>,
-    /// As charged last.
+    /// Latest charge by owner, in milliseconds.
     charged: BTreeMap<String, u64>,
 }
 
@@ -95,18 +96,18 @@ impl Default for Shares {
 }
 
 impl Shares {
-    /// Of the way of a message, which may be seen earlier or later than it counts.
+    /// Time by which the observation of a message may precede or follow its effect.
     const WAY: Duration = Duration::from_millis(30);
-    /// Of a fact, which may be written later than it holds.
+    /// Time between a fact and its record in the log.
     const WRITE: Duration = Duration::from_millis(400);
-    /// Of a lease, from its last renewal, and of what the coordinator does about it.
+    /// Time from the last renewal of a lease to the coordinator's reaction to its expiry.
     const LEASE: Duration = Duration::from_millis(4_500 + 500);
 
-    /// What may be wrong from now on with what is seen.
+    /// Prepares for faults that make the observations inexact.
     pub(crate) fn expect(&mut self, faults: impl Iterator<Item = Fault>) {
         for fault in faults {
             match fault {
-                // These are at the workers' end, as is the switch: what the coordinator does about them is seen.
+                // These faults and the switch are on the workers' side, so the coordinator's reaction is observed.
                 Fault::WorkerDies(..) | Fault::WorkerCut(..) | Fault::WorkerMute(..) => self.unseen += Self::LEASE,
                 Fault::AloneAndSick(..) => self.unseen += Self::LEASE * WORKERS as u32,
                 Fault::WorkerFreezes(_, pause) => self.unseen += Self::LEASE + pause,
@@ -138,12 +139,12 @@ impl Shares {
         self.unseen += (Self::LEASE + pause) * WORKERS as u32;
     }
 
-    /// A task has killed its worker.
+    /// Notes that a task has killed its worker.
     pub(crate) fn strikes(&mut self) {
         self.unseen += Self::LEASE;
     }
 
-    /// From now on a session's time is this owner's, or for what these share, or nobody's.
+    /// Assigns the time of a session to new payers, or to nobody, from now on.
     pub(crate) fn turns(&mut self, session: SessionNumber, whose: Option<Whose>, now: Duration) {
         let before = self.under_way.get(&session).map(|turn| &turn.whose);
         if before
@@ -164,8 +165,8 @@ impl Shares {
         }
     }
 
-    /// Whoever waits for what jobs share may have changed: from now on its time is that of these. What a worker has held of it since
-    /// it was charged last is theirs, too.
+    /// Updates the payers of shared stages. From now on, the time belongs to the new payers. They also pay for the time that
+    /// workers have held since the last charge.
     pub(crate) fn divide(&mut self, payers: &BTreeMap<JobId, Vec<String>>, now: Duration) {
         let mut changed = Vec::new();
         for turn in self.under_way.values_mut() {
@@ -184,7 +185,7 @@ impl Shares {
         }
     }
 
-    /// Each owner's part of some time, by weight.
+    /// Divides a time among owners by weight.
     fn parts<'a>(&'a self, whose: &'a Whose, time: Duration) -> impl Iterator<Item = (&'a String, Duration)> {
         let weight = |owner: &String| self.weights.get(owner).copied().unwrap_or(1).max(1);
         let sum: u32 = whose.owners().iter().map(weight).sum();
@@ -197,13 +198,13 @@ impl Shares {
         parts.into_iter().for_each(|(owner, part)| *self.seen.entry(owner).or_default() += part);
     }
 
-    /// A log begins that knows of nothing.
+    /// Begins an empty log.
     pub(crate) fn anew(&mut self) {
         self.charged.clear();
     }
 
-    /// What is wrong with what owners are charged: it never goes back, over restarts of the coordinator neither, and is what was
-    /// seen.
+    /// Checks the charges of owners. They never decrease, not even over restarts of the coordinator, and they agree with the
+    /// observed time.
     pub(crate) fn judge(&mut self, owners: &[(String, Used)], now: Duration) -> Vec<Violation> {
         let mut wrong = Vec::new();
         for (owner, used) in owners {

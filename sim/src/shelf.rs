@@ -1,4 +1,4 @@
-//! The store's medium.
+//! Storage medium of the artifact store, with faults.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -22,48 +22,48 @@ use futures_util::{FutureExt as _, StreamExt as _, TryStreamExt as _};
 use crate::audit::Violation;
 use crate::shared::Shared;
 
-/// Artifacts in memory that outlive every host, on a medium with troubles. They age by the simulated clock.
+/// Artifacts in memory that outlive every host, on a medium with faults. They age by the simulated clock.
 #[derive(Debug, Clone)]
 pub(crate) struct Shelf {
     objects: Arc<InMemory>,
     shared: Shared,
     troubles: Arc<Mutex<Troubles>>,
-    /// When each was put.
+    /// Time at which each artifact was put.
     born: Arc<Mutex<BTreeMap<Path, Duration>>>,
 }
 
-/// What is wrong with the medium now.
+/// Current faults of the medium.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Troubles {
-    /// Nothing new finds room.
+    /// Nothing new can be stored.
     pub(crate) full: bool,
-    /// It does not answer but with an error.
+    /// Every operation fails with an error.
     pub(crate) away: bool,
-    /// It takes up to so long.
+    /// Longest extra duration of an operation.
     pub(crate) slow: Duration,
-    /// After so many others, something that is put is torn at so many thousandths of its bytes: what is there of it stays.
+    /// Torn upload: number of other uploads before it, and thousandths of its bytes that are kept.
     pub(crate) tears: Option<(u32, u64)>,
-    /// After so many others, a read gets bytes of another artifact; what lies there is as it was.
+    /// Number of other reads before a read that returns bytes of another artifact. The stored artifact does not change.
     pub(crate) swaps: Option<u32>,
 }
 
-/// What becomes of an artifact at rest.
+/// Damage of a stored artifact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Harm {
-    /// It is gone.
+    /// The artifact is deleted.
     Lost,
-    /// Bits of it flip.
+    /// Bits of the artifact are flipped.
     Flipped,
-    /// So many thousandths of it are left.
+    /// Only these thousandths of the artifact remain.
     Short(u64),
-    /// Something follows it.
+    /// Extra bytes follow the artifact.
     Long,
-    /// From so many thousandths on it is zeros.
+    /// The artifact is zero after these thousandths.
     Zeroed(u64),
 }
 
 impl Harm {
-    /// In words.
+    /// Returns a name for statistics.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Lost => "artifact lost",
@@ -89,7 +89,7 @@ impl Harm {
     }
 }
 
-/// So many thousandths of a length, never all of it.
+/// Returns thousandths of a length, always less than the whole length.
 fn part(length: usize, thousandths: u64) -> usize {
     (length * thousandths as usize / 1000).min(length.saturating_sub(1))
 }
@@ -99,7 +99,7 @@ impl Shelf {
         Self { objects: Arc::default(), shared: shared.clone(), troubles: Arc::default(), born: Arc::default() }
     }
 
-    /// The medium's troubles change.
+    /// Changes the faults of the medium.
     pub(crate) fn trouble(&self, change: impl FnOnce(&mut Troubles)) {
         change(&mut self.troubles.lock().unwrap_or_else(PoisonError::into_inner));
     }
@@ -108,13 +108,13 @@ impl Shelf {
         *self.troubles.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether it has no troubles.
+    /// Checks that the medium has no fault that can fail an upload.
     pub(crate) fn is_well(&self) -> bool {
         let Troubles { full, away, tears, .. } = self.troubles();
         !full && !away && tears.is_none()
     }
 
-    /// Something happens to an artifact; `false` if it was not there.
+    /// Damages an artifact. Returns `false` if it does not exist.
     pub(crate) fn harm(&self, artifact: &Digest, harm: Harm) -> bool {
         let at = place(artifact);
         if harm == Harm::Lost {
@@ -128,21 +128,21 @@ impl Shelf {
         harmed.now_or_never().is_some_and(|harmed| harmed.is_ok())
     }
 
-    /// An artifact as it lies there, if it is there and whole.
+    /// Checks that a stored artifact exists and is intact.
     pub(crate) fn whole(&self, artifact: &Digest) -> bool {
         let at = place(artifact);
         let read = async { self.objects.get(&at).await?.bytes().await };
         read.now_or_never().and_then(Result::ok).is_some_and(|bytes| Digest::of(&bytes) == *artifact)
     }
 
-    /// All that is there.
+    /// Returns the digests of all stored artifacts.
     pub(crate) fn all(&self) -> BTreeSet<Digest> {
         let name = |meta: ObjectMeta| meta.location.parts().map(|part| part.as_ref().to_owned()).collect::<String>();
         let listed = self.objects.list(None).try_collect::<Vec<_>>().now_or_never().and_then(Result::ok);
         listed.unwrap_or_default().into_iter().filter_map(|meta| name(meta).parse().ok()).collect()
     }
 
-    /// How many objects there are, and their bytes.
+    /// Returns the number of objects and their total bytes.
     pub(crate) fn volume(&self) -> (u64, u64) {
         let add = |(count, bytes), meta: ObjectMeta| future::ready(Ok((count + 1, bytes + meta.size)));
         // A medium in memory never waits.
@@ -157,7 +157,7 @@ impl Shelf {
         self.births().insert(location.clone(), now());
     }
 
-    /// Waits for as long as the medium takes; whether it is there.
+    /// Waits for the duration of an operation. Fails if the medium is unavailable.
     async fn reach(&self) -> Result<()> {
         let Troubles { away, slow, .. } = self.troubles();
         if !slow.is_zero() {
@@ -170,7 +170,7 @@ impl Shelf {
         if self.troubles().full { Err(trouble(io::ErrorKind::StorageFull)) } else { Ok(()) }
     }
 
-    /// What is left of something that is being put, if this is what is torn.
+    /// Returns the bytes that remain of an upload, if this upload is torn.
     fn torn(&self, payload: &PutPayload) -> Option<Vec<u8>> {
         let mut troubles = self.troubles.lock().unwrap_or_else(PoisonError::into_inner);
         let (others, thousandths) = troubles.tears.as_mut()?;
@@ -184,7 +184,7 @@ impl Shelf {
         Some(Harm::Short(thousandths).done_to(bytes))
     }
 
-    /// Whether this read gets bytes of another artifact.
+    /// Checks whether this read returns bytes of another artifact.
     fn is_swapped(&self) -> bool {
         let mut troubles = self.troubles.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(others) = troubles.swaps.as_mut() else { return false };
@@ -196,7 +196,7 @@ impl Shelf {
         is_due
     }
 
-    /// As many bytes of another artifact, which is of the same size if there is such a one: nothing else tells it from this one.
+    /// Replaces the bytes of a read by those of another artifact, if possible of the same size, so that only the bytes differ.
     async fn swapped(&self, read: GetResult) -> Result<GetResult> {
         let all: Vec<ObjectMeta> = self.objects.list(None).try_collect().await?;
         let others = all.into_iter().filter(|other| other.location != read.meta.location && other.size > 0);
@@ -209,7 +209,7 @@ impl Shelf {
         Ok(GetResult { payload, ..read })
     }
 
-    /// Something is removed that may not be: nobody does that to what is whole and what the log names.
+    /// Checks a removal: an intact artifact that the log references must not be removed.
     fn judge(&self, at: &Path) {
         let name: String = at.parts().map(|part| part.as_ref().to_owned()).collect();
         let Ok(digest) = name.parse::<Digest>() else { return };
@@ -243,7 +243,7 @@ impl ObjectStore for Shelf {
         self.reach().await?;
         self.room()?;
         if let Some(bytes) = self.torn(&payload) {
-            // Not even this, where something is there.
+            // A torn upload cannot replace an existing artifact either.
             let torn = self.objects.put_opts(location, bytes.into(), opts).await;
             if torn.is_ok() {
                 self.note_birth(location);

@@ -1,4 +1,4 @@
-//! What is rendered: a small scene, its job, and its frames as the engine renders them without a farm.
+//! Test jobs: small scenes, their jobs, and their frames as the engine renders them without a farm.
 
 use std::collections::BTreeMap;
 use std::num::{NonZeroU32, NonZeroU64};
@@ -14,7 +14,7 @@ use femc_pipeline::{Method, Settings, Stop};
 use femc_schedule::Config;
 use femc_worker::{Cache, graph};
 
-/// A lamp over a floor in fog that thickens.
+/// A lamp over a floor, in fog that thickens with time.
 const SCENE: &str = "
 camera main =
     origin 0 -3 1
@@ -48,7 +48,7 @@ m bright
 sph e 0.2
 ";
 
-/// The same without fog and with a wall: a world that stays as it is while the camera zooms.
+/// Returns a scene without fog and with a wall. It is static while the camera zooms.
 /// - `reflectance`: of floor and wall.
 fn still(reflectance: f64) -> String {
     let wall = "v g =\n    p -2 2 2\nv h =\n    p 2 2 2\nm gray\nf d c h g\n";
@@ -60,27 +60,27 @@ pub(crate) const FRAMES: [u32; 3] = [1, 2, 3];
 const FILM: [u32; 2] = [16, 12];
 const TILE: u32 = 8;
 
-/// Scenes and frames ready to render, for all workers of all worlds: to make them again would teach nothing.
+/// Prepared scenes and frames, shared by all workers of all worlds. Preparing them again would test nothing.
 pub(crate) static CACHE: LazyLock<Cache> = LazyLock::new(|| Cache::new(16));
 
-/// A job, its bundle, and what its frames must be.
+/// A job, its bundle, and its expected frames.
 #[derive(Debug, Clone)]
 pub(crate) struct Stage {
     pub(crate) spec: JobSpec,
     pub(crate) bundle: Bytes,
-    /// The role of a frame's result: an image, or the answer of a drill.
+    /// Role of a frame's result: an image, or the answer of a drill.
     pub(crate) result: Role,
-    /// Of each frame the digest of its pixels, or of its answer.
+    /// Digest of the pixels or of the answer of each frame.
     pub(crate) digests: Vec<String>,
-    /// How its light is computed, and the blocks of its first pass.
+    /// Light transport method, and number of blocks of its first pass.
     pub(crate) light: (Method, u32),
 }
 
 impl Stage {
-    /// How many there are.
+    /// Number of jobs that [`pick`] chooses from.
     pub(crate) const COUNT: u64 = (2 * ROUNDS.len() * FANS.len()) as u64;
 
-    /// The same job with groups of so many tiles.
+    /// Returns the job with groups of at most `fan` tiles.
     fn grouped(&self, fan: NonZeroU32) -> Self {
         let Grid { film, tile } = self.spec.grid;
         let tiling = Tiling { width: film[0], height: film[1], edge: tile };
@@ -91,13 +91,13 @@ impl Stage {
         Self { spec, ..self.clone() }
     }
 
-    /// The job with these frames alone.
+    /// Returns the job with these frames only.
     pub(crate) fn of_frames(&self, frames: Vec<u32>) -> JobSpec {
         let contents = self.spec.contents.iter().map(|(_, key)| (frames.len() as u32, *key)).collect();
         JobSpec { frames, contents, ..self.spec.clone() }
     }
 
-    /// The digest of a finished frame's result.
+    /// Computes the digest of a finished frame's result.
     pub(crate) fn digest(&self, file: Bytes) -> anyhow::Result<String> {
         if self.result != Role::Image {
             return Ok(Digest::of(&file).to_string());
@@ -107,41 +107,41 @@ impl Stage {
     }
 }
 
-/// A world does not last for as long as a farm waits for workers of a build that is gone.
+/// Time that a farm waits for workers of a missing build, in milliseconds. The default is longer than a world lasts.
 const ORPHANED: u64 = 5_000;
 
-/// Tiles are not cut, and workers hold many of them.
+/// Returns settings without sample chunks. Workers hold many tiles.
 fn whole() -> Config {
     Config { ahead: 100_000, orphaned: ORPHANED, ..Config::default() }
 }
 
-/// Tiles are in grains of a sample a pixel.
+/// Returns settings with sample chunks of one sample per pixel.
 pub(crate) fn cut() -> Config {
     let grain = NonZeroU64::new(u64::from(TILE * TILE)).unwrap_or(NonZeroU64::MIN);
     Config { grain, task: 2_000, least_task: 500, orphaned: ORPHANED, ..Config::default() }
 }
 
-/// The rounds of the jobs: one, and several; the later ones are long enough to be cut.
+/// Rounds of the jobs: one or several. Later rounds are long enough to be cut into sample chunks.
 const ROUNDS: [&[u32]; 4] = [&[2], &[1, 2, 4], &[12], &[3, 5, 12]];
 
-/// Most tiles of a group, of four: one group, or a tree of even or uneven groups.
+/// Most tiles of a group, out of four: one group, or a tree of even or uneven groups.
 const FANS: [NonZeroU32; 4] = [NonZeroU32::MAX, NonZeroU32::MIN, TWO, TWO.saturating_add(1)];
 const TWO: NonZeroU32 = NonZeroU32::MIN.saturating_add(1);
 
-/// Two of each kind, in each way of grouping: those of other samples have other pixels.
+/// Jobs with two seeds for each list of rounds and each grouping. Another seed gives other pixels.
 static STAGES: LazyLock<Result<Vec<Stage>, String>> = LazyLock::new(|| {
     let kinds = (0..2).flat_map(|seed| ROUNDS.map(|rounds| stage(rounds, seed)));
     let kinds: Vec<Stage> = kinds.collect::<anyhow::Result<_>>().map_err(|error| format!("{error:#}"))?;
     Ok(FANS.iter().flat_map(|&fan| kinds.iter().map(move |stage| stage.grouped(fan))).collect())
 });
 
-/// The job of this number.
+/// Returns the job of this number.
 pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
     let stages = STAGES.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
     stages.get((number % stages.len() as u64) as usize).context("a stage")
 }
 
-/// Jobs whose frames are lit by a first pass, which those of one world share: of two worlds, in one round and in several, solved by one
+/// Jobs with a first pass. Jobs of one scene share it. There are two scenes, one round or several, and first passes solved by one
 /// task or in blocks.
 static LIT: LazyLock<Result<Vec<Stage>, String>> = LazyLock::new(|| {
     let lights = [(Method::Fem, 1), (Method::Femc, 3), (Method::Fem, 2)];
@@ -152,7 +152,7 @@ static LIT: LazyLock<Result<Vec<Stage>, String>> = LazyLock::new(|| {
     lit.collect::<anyhow::Result<_>>().map_err(|error| format!("{error:#}"))
 });
 
-/// The job of this number among those that have a first pass.
+/// Returns the job of this number among those with a first pass.
 pub(crate) fn lit(number: u64) -> anyhow::Result<Stage> {
     let stages = LIT.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
     let count = stages.len() as u64;
@@ -160,29 +160,29 @@ pub(crate) fn lit(number: u64) -> anyhow::Result<Stage> {
     Ok(stage.grouped(FANS[(number / count % 4) as usize]))
 }
 
-/// How the farm of this number cuts tasks.
+/// Returns the farm's settings for cutting tasks, by number.
 pub(crate) fn schedule(number: u64) -> Config {
     if number % 4 < 2 { whole() } else { cut() }
 }
 
-/// Settings of a farm whose workers hold as many tasks as the real ones do, with tiles that are not cut.
+/// Returns settings without sample chunks. Workers hold as many tasks as real ones.
 pub(crate) fn paced() -> Config {
     Config { ahead: Config::default().ahead, ..whole() }
 }
 
-/// A job that shares no artifact but its scene with any of another number.
+/// Returns a job that shares only its scene with jobs of other numbers.
 pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
     Ok(stage(ROUNDS[(number % 4) as usize], number)?.grouped(FANS[(number / 4 % 4) as usize]))
 }
 
-/// Jobs of many tiles of one size: in one round, and in several.
+/// Jobs of many tiles of one size: with one round, and with several.
 static EVEN: LazyLock<Result<[Stage; 2], String>> = LazyLock::new(|| {
     const EDGE: u32 = 4;
     let even = |rounds: &[u32]| tiled(SCENE, (Method::Pt, 1), rounds, 0, EDGE).map_err(|error| format!("{error:#}"));
     Ok([even(ROUNDS[0])?, even(ROUNDS[1])?])
 });
 
-/// A job of 12 tiles per frame, all of one size; or of 36, in three rounds.
+/// Returns a job of 12 tiles per frame, all of one size, or of 36 in three rounds.
 /// - `rounds`: 1 or 3.
 pub(crate) fn even(rounds: usize) -> anyhow::Result<Stage> {
     let [one, several] = EVEN.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
@@ -197,11 +197,11 @@ fn rendered(scene: &str, light: (Method, u32), rounds: &[u32], seed: u64) -> any
     tiled(scene, light, rounds, seed, TILE)
 }
 
-/// - `edge`: of a tile, in pixels.
+/// - `edge`: edge length of a tile, in pixels.
 fn tiled(scene: &str, (method, blocks): (Method, u32), rounds: &[u32], seed: u64, edge: u32) -> anyhow::Result<Stage> {
-    // An error that is never reached: every round runs.
+    // This error is never reached, so every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
-    // Light of elements has come any number of ways.
+    // Light stored in elements has had any number of bounces.
     let max_depth = if method.has_first_pass() { 0 } else { 3 };
     let settings = Settings { stop, max_depth, seed, method, ..Settings::default() };
     let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), scene.as_bytes().to_vec())]));

@@ -1,5 +1,5 @@
-//! The way between workers and the coordinator that leads: it passes everything on, sees everything, and lets some messages
-//! of workers come twice or late, or with another size than they stated, and makes some of them bring leases of another farm.
+//! Relay between workers and the leading coordinator. It passes on and observes all messages. It repeats or delays some messages of
+//! workers, misstates sizes in others, and adds leases of another farm to some sessions.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -20,18 +20,18 @@ use crate::shares::Whose;
 /// Bits of an epoch that count the leases of one incarnation.
 const LEASE_BITS: u32 = 40;
 
-/// Latest that a message comes.
+/// Longest delay of a late message.
 const LATE: Duration = Duration::from_secs(8);
 
-/// After so long a coordinator that does not answer is taken for dead.
+/// Time after which a silent coordinator counts as dead.
 const GIVE_UP: Duration = Duration::from_secs(30);
 
-/// Serves for ever.
+/// Serves forever.
 pub(crate) async fn serve(shared: Shared, store: Store) -> turmoil::Result {
     let (calls, mut inbox) = mpsc::channel(64);
     tokio::spawn(Server::new(calls, store).serve_on(listen(&shared, SWITCH).await));
     while let Some(call) = inbox.recv().await {
-        // Others than workers ask the coordinator itself.
+        // Other clients contact the coordinator directly.
         if let Call::Session(session) = call {
             tokio::spawn(relay(*session, shared.clone()));
         }
@@ -63,7 +63,7 @@ async fn relay(session: Session, shared: Shared) {
         let client = Client::connect_by(&dial(&shared, SWITCH), &leader).await?;
         client.session(registration).await
     };
-    // A host that is dead says nothing, for ever.
+    // A dead host never answers.
     let Ok(Ok((up, mut down))) = tokio::time::timeout(GIVE_UP, session).await else {
         return shared.lock().queues.left(number);
     };
@@ -82,7 +82,7 @@ async fn relay(session: Session, shared: Shared) {
                 FromWorker::Failed { task, epoch, .. } => {
                     let mut state = shared.lock();
                     state.leases.failed(*task, *epoch);
-                    // It has the result no longer: what is acknowledged is that.
+                    // The worker has lost the result, so the acknowledgement refers to the failure.
                     state.reported.remove(&(*task, *epoch));
                 }
                 _ => {}
@@ -129,7 +129,7 @@ async fn relay(session: Session, shared: Shared) {
                     state.note_accepted(number, *task, *epoch, now());
                 }
                 ToWorker::Refused { task, epoch, refusal } => {
-                    // Each lease that ends is told, and what comes after that is a repetition.
+                    // The worker is informed of each lease that ends. A later refusal answers a repeated message.
                     let ran = running.remove(&(*epoch, *task));
                     shared.lock().queues.note_end(number, *task, *epoch);
                     if ran && *refusal == Refusal::StaleEpoch {
@@ -155,10 +155,10 @@ async fn relay(session: Session, shared: Shared) {
 }
 
 impl State {
-    /// Now and then a result states another size of an artifact than that has.
+    /// Misstates the size of an artifact in some results.
     fn misstate(&mut self, message: &mut FromWorker) {
         let FromWorker::Completed { result, .. } = message else { return };
-        // Worlds without lies draw nothing.
+        // Worlds without misstated sizes draw no random number.
         let (percent, count) = (self.misstated, result.outputs.len());
         if percent == 0 || count == 0 || !self.chance(percent) {
             return;
@@ -169,12 +169,12 @@ impl State {
         self.fired("size misstated");
     }
 
-    /// Now and then a worker was another farm's before, and brings along a lease of there: of a job with the number of one of
-    /// here, and of a task and an epoch that are in hand here.
+    /// Adds a lease of another farm to some workers' sessions. Its job has the number of a job of this farm, and its task and epoch
+    /// are leased here.
     fn stray(&mut self, registration: &Registration) -> Option<HeldLease> {
-        /// Of so many leases most are in hand.
+        /// Number of latest leases to choose from. Most of them are still held.
         const LAST: usize = 6;
-        // Worlds without such draw nothing.
+        // Worlds without foreign leases draw no random number.
         let percent = self.strays;
         if percent == 0 || !self.chance(percent) {
             return None;
@@ -190,8 +190,8 @@ impl State {
         Some(HeldLease { task, epoch, steps, job: Digest::of(b"a job of another farm") })
     }
 
-    /// What a worker holds has changed.
-    /// - `joined`: when its session began.
+    /// Notes that the leases of a worker have changed.
+    /// - `joined`: start of its session.
     fn turns(&mut self, session: SessionNumber, running: &BTreeSet<(Epoch, TaskKey)>, joined: Duration) {
         let first = running.first().map(|(_, task)| task.job);
         let whose = first.and_then(|job| Some(Whose::of(job, self.chronicle.payers(job)?)));

@@ -1,5 +1,5 @@
-//! What depends on how a job is cut into tasks and who reads whom: all else knows tasks by their keys alone. It follows from the
-//! job's graph and from nothing of the farm's.
+//! Properties of tasks that follow from the job's graph: how a job is cut into tasks, and which tasks read which. All other modules
+//! know tasks by their keys only. Nothing here comes from the farm.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -9,7 +9,7 @@ use femc_model::{
 };
 use femc_schedule::Fact;
 
-/// The least that can be given out: a step of a task.
+/// Smallest unit of work that can be leased: a step of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Unit {
     pub(crate) job: JobId,
@@ -19,23 +19,23 @@ pub(crate) struct Unit {
     pub(crate) step: u32,
 }
 
-/// All that a lease covers.
+/// Returns the units that a lease covers.
 pub(crate) fn units(lease: &Assignment) -> Vec<Unit> {
     let TaskKey { job, stage, .. } = lease.task;
     lease.work.steps.clone().map(|step| Unit { job, stage, item: lease.work.item, step }).collect()
 }
 
-/// Steps of a task that is cut; 0 of others.
+/// Returns the number of steps of a task that can be cut, and 0 for other tasks.
 pub(crate) fn samples(lease: &Assignment) -> u32 {
     if renders(lease) { lease.work.steps.len() as u32 } else { 0 }
 }
 
-/// Whether a lease renders something, rather than join what is rendered.
+/// Checks whether a lease renders something. Otherwise it joins rendered results.
 pub(crate) fn renders(lease: &Assignment) -> bool {
     lease.task.stage.kind.is_cut()
 }
 
-/// The task under the name by which its failures are counted: of what joins, they add up over the rounds of its frame.
+/// Returns the key that counts the task's failures. Failures of tasks that join add up over the rounds of their frame.
 pub(crate) fn tried(task: TaskKey) -> TaskKey {
     let round = if task.stage.kind.is_cut() { task.stage.round } else { 0 };
     TaskKey { stage: Stage { round, ..task.stage }, ..task }
@@ -47,12 +47,12 @@ pub(crate) struct Counted<'a> {
     pub(crate) task: TaskKey,
     pub(crate) epoch: Epoch,
     pub(crate) result: &'a TaskResult,
-    /// When its lease was granted.
+    /// Time at which its lease was granted.
     pub(crate) leased: Tick,
 }
 
 impl Counted<'_> {
-    /// Whether its frame is finished with it, or what jobs share.
+    /// Checks whether the result finishes its frame, or its shared stages.
     pub(crate) fn finishes(&self, spec: &JobSpec) -> bool {
         let Stage { number, .. } = self.task.stage;
         let is_over = !matches!(self.result.decision, Some(Decision::Continue | Decision::Steps(_)));
@@ -61,7 +61,7 @@ impl Counted<'_> {
     }
 }
 
-/// The result that a record counts, if it is of that kind.
+/// Returns the result that a record counts, if any.
 pub(crate) fn counted(fact: &Fact) -> Option<Counted<'_>> {
     match fact {
         Fact::Done { task, epoch, result, leased, .. } => {
@@ -71,15 +71,16 @@ pub(crate) fn counted(fact: &Fact) -> Option<Counted<'_>> {
     }
 }
 
-/// Whether frames read this stage of a content, which has one task.
+/// Checks whether this is a shared stage that frames read. Such a stage has one task.
 pub(crate) fn is_served(spec: &JobSpec, number: u16) -> bool {
     let scope = |number| spec.graph.stage(number).map(|template| template.scope);
     scope(number) == Some(Scope::Content)
         && spec.graph.readers(number).any(|(reader, _)| scope(reader) == Some(Scope::Frame))
 }
 
-/// The tasks of a round of a stage that a task reads, by stage and number. Those of a content are not among what a frame's reads.
-/// - `last`: the round that the frame's loop is in; what is behind the loop reads that one.
+/// Returns the tasks that a task reads, by stage and number, in the round that it reads. Shared stages that a frame's task reads
+/// are left out.
+/// - `last`: current round of the frame's loop. Stages behind the loop read this round.
 fn read_by(spec: &JobSpec, stage: &Stage, item: u32, last: u32) -> Vec<(Need, Stage, u32)> {
     let mut all = Vec::new();
     let Some(template) = spec.graph.stage(stage.number) else { return all };
@@ -104,33 +105,33 @@ fn read_by(spec: &JobSpec, stage: &Stage, item: u32, last: u32) -> Vec<(Need, St
     all
 }
 
-/// The steps that a round takes of each task of a stage.
+/// Returns the steps that a round adds to each task of a stage.
 fn steps(spec: &JobSpec, stage: &Stage) -> Range<u32> {
     spec.graph.stage(stage.number).map_or(0..0, |template| template.steps_of(stage.round))
 }
 
-/// What the log counts, by the graphs of its jobs.
+/// Results that the log counts, with the graphs of their jobs.
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     specs: BTreeMap<JobId, Box<JobSpec>>,
     done: BTreeMap<Unit, (TaskKey, Epoch)>,
-    /// Steps that were done and are to be done again, and since when: who began before may have read them.
+    /// Steps that were lost and must be repeated, each with the time of the loss. A task that began earlier may have read them.
     lost: BTreeMap<Unit, Tick>,
-    /// Of each frame the round that its loop is in, and whether the loop is over.
+    /// Current round of the loop of each frame, and whether the loop is over.
     rounds: BTreeMap<(JobId, u32), (u32, bool)>,
-    /// The build whose a frame is, or was last.
+    /// Current or latest engine build of each frame.
     built: BTreeMap<(JobId, u32), String>,
-    /// What jobs share.
+    /// Instances of shared stages.
     instances: BTreeMap<JobId, Instance>,
-    /// Stages of contents that were done by some build, whatever has become of them since.
+    /// Shared stages that were ever done, with their instance. They may be lost by now.
     served: BTreeSet<(Instance, u16)>,
 }
 
-/// What jobs share: a content, and the build of the engine that makes it.
+/// Instance of shared stages: a content, and the engine build that makes it.
 pub(crate) type Instance = (Digest, String);
 
 impl Tally {
-    /// Takes a result in; returns which was there already.
+    /// Counts a result. Returns an earlier result of the same units, if any.
     pub(crate) fn count(&mut self, counted: &Counted<'_>, units: &[Unit]) -> Option<(TaskKey, Epoch)> {
         let key = (counted.task, counted.epoch);
         if let (Some(instance), Some(spec)) = (self.instances.get(&key.0.job), self.specs.get(&key.0.job))
@@ -147,7 +148,7 @@ impl Tally {
         units.iter().filter_map(|unit| self.done.insert(*unit, key)).next()
     }
 
-    /// A step that is not there when the result of a task that reads it counts, and was not when that was leased.
+    /// Finds an input of a counted result that is not done now, and was not done when the task was leased.
     pub(crate) fn missing(&self, units: &[Unit], leased: Tick) -> Option<Unit> {
         let first = units.first()?;
         let spec = self.specs.get(&first.job)?;
@@ -159,7 +160,7 @@ impl Tally {
         needed.find(|unit| !self.done.contains_key(unit) && !was_there(unit)).or_else(|| self.unserved(spec, first))
     }
 
-    /// A stage of its content that a task of a frame reads and that the frame's build has never done.
+    /// Finds a shared stage that a frame's task reads and that the frame's build has never done.
     fn unserved(&self, spec: &JobSpec, unit: &Unit) -> Option<Unit> {
         let Stage { number, frame, .. } = unit.stage;
         let template = spec.graph.stage(number).filter(|template| template.scope == Scope::Frame)?;
@@ -173,12 +174,12 @@ impl Tally {
         Some(Unit { stage, item: 0, step: 0, ..*unit })
     }
 
-    /// The round that the loop of a task's frame is in.
+    /// Returns the current round of the loop of a task's frame.
     fn round(&self, of: &Unit) -> u32 {
         self.rounds.get(&(of.job, of.stage.frame)).map_or(0, |(round, _)| *round)
     }
 
-    /// Takes notice of everything else that is written down.
+    /// Applies a record that is not a result.
     pub(crate) fn note(&mut self, fact: &Fact, now: Tick) {
         match fact {
             Fact::Submitted { job, spec, .. } => drop(self.specs.insert(*job, spec.clone())),
@@ -200,7 +201,7 @@ impl Tally {
         }
     }
 
-    /// These steps of a task are to be done again, and what it reads, where that was kept by nobody.
+    /// Removes steps that must be repeated, with the inputs that they read, if these were not kept.
     fn undo(&mut self, units: &[Unit], now: Tick) {
         let Some(first) = units.first().copied() else { return };
         let Some(spec) = self.specs.get(&first.job) else { return };
@@ -216,7 +217,7 @@ impl Tally {
         }
     }
 
-    /// Whether an output is there although a task has read it: another has yet to, or the round after is not over.
+    /// Checks whether an output is kept after a task has read it: another task has yet to read it, or the next round is not over.
     fn is_kept(&self, spec: &JobSpec, job: JobId, need: &Need, made: &Stage, item: u32) -> bool {
         let (round, is_over) = self.rounds.get(&(job, made.frame)).copied().unwrap_or_default();
         if need.round == Round::Before && !is_over && round <= made.round + 1 {
@@ -225,7 +226,7 @@ impl Tally {
         let readers = spec.graph.readers(made.number).filter(|(_, other)| other.role == need.role);
         let mut tasks = readers.flat_map(|(number, other)| {
             let template = spec.graph.stage(number);
-            // What reads the loop's last round from behind it has one round itself.
+            // A stage behind the loop reads the loop's last round and has a single round itself.
             let is_behind = spec.graph.is_looped(made.number) && !spec.graph.is_looped(number);
             let template = template.filter(|_| !is_behind || made.round == round);
             let round = if is_behind { 0 } else { made.round + u32::from(other.round == Round::Before) };
@@ -242,18 +243,18 @@ impl Tally {
     }
 }
 
-/// The content of a frame.
+/// Returns the content of a frame.
 pub(crate) fn content(spec: &JobSpec, frame: u32) -> Option<Digest> {
     spec.content(spec.frames.iter().position(|&other| other == frame)?)
 }
 
-/// What a lost result may take along: the tasks that it read, and what these read.
+/// Returns the tasks that may be lost along with a result: the task itself, the tasks that it read, and so on.
 pub(crate) fn behind(spec: &JobSpec, stage: &Stage, item: u32) -> BTreeSet<(Stage, u32)> {
     let (mut all, mut left) = (BTreeSet::new(), vec![(*stage, item)]);
     let rounds = (0..spec.graph.stages.len() as u16).map(|number| spec.graph.rounds(number)).max().unwrap_or(1);
     while let Some((stage, item)) = left.pop() {
         if all.insert((stage, item)) {
-            // Whichever round was the last one.
+            // Any round may have been the last one.
             let read = (0..rounds).flat_map(|last| read_by(spec, &stage, item, last));
             left.extend(read.map(|(_, stage, item)| (stage, item)));
         }
@@ -261,7 +262,7 @@ pub(crate) fn behind(spec: &JobSpec, stage: &Stage, item: u32) -> BTreeSet<(Stag
     all
 }
 
-/// The job that a record is about.
+/// Returns the job that a record is about.
 pub(crate) fn job_of(fact: &Fact) -> Option<JobId> {
     match fact {
         Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } | Fact::Metered { .. } | Fact::Lives { .. } => {

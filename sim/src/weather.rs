@@ -1,4 +1,4 @@
-//! What goes wrong in a world, when its time has come.
+//! Applies the planned faults of a world at their times.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -13,22 +13,22 @@ use crate::network::SWITCH;
 use crate::shared::{Shared, Trap};
 use crate::shelf::{Harm, Shelf, Troubles};
 
-/// How long a plan's faults come, and whatever they broke stays broken.
+/// Duration of a storm. Afterwards all faults of its plan are repaired.
 const STORM: Duration = Duration::from_secs(32);
 
-/// What is to be done at some time.
+/// An action at a planned time.
 #[derive(Debug, Clone, Copy)]
 enum Act {
     Begin(Fault),
     End(Fault),
-    /// A dead coordinator is started again.
+    /// Restart of a dead coordinator.
     Start(usize),
-    /// A dead worker is.
+    /// Restart of a dead worker.
     Rise(usize),
     Peace,
 }
 
-/// What is still to come, in order of time; of one time, in order of planning.
+/// Planned actions, in order of time, then in order of planning.
 #[derive(Debug, Default)]
 pub(crate) struct Weather {
     agenda: BTreeMap<(Duration, u64), Act>,
@@ -36,7 +36,7 @@ pub(crate) struct Weather {
 }
 
 impl Weather {
-    /// From `now` on a plan's faults come, then there is peace.
+    /// Plans a storm that begins `now`: the faults of a plan, then peace.
     pub(crate) fn storm(&mut self, now: Duration, plan: &Planned, shared: &Shared) {
         {
             let mut state = shared.lock();
@@ -56,7 +56,7 @@ impl Weather {
         self.agenda.insert((at, self.planned), act);
     }
 
-    /// Does what is due.
+    /// Carries out all actions that are due.
     pub(crate) fn pass(&mut self, sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
         let now = sim.elapsed();
         let sprung = shared.lock().sprung.take();
@@ -91,7 +91,7 @@ impl Weather {
     }
 }
 
-/// Lets it begin; how long it lasts, if it ends by itself.
+/// Begins a fault. Returns its duration, if it has an end.
 fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, now: Duration) -> Option<Duration> {
     let fired = |what| shared.lock().fired(what);
     match fault {
@@ -253,7 +253,7 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
     }
 }
 
-/// Whatever is broken is mended, and whoever is dead lives.
+/// Repairs all faults and restarts dead hosts.
 fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     let hosts = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name));
     for host in hosts {
@@ -269,8 +269,8 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     (state.twice, state.late, state.misstated, state.strays) = (0, 0, 0, 0);
 }
 
-/// An artifact of a frame in work, or of what frames share, if there is one. Of a frame once only: what misses an input counts as failed, and after three
-/// times a job fails as it should.
+/// Draws an artifact of an unfinished frame, or of shared stages, if any exists. Each frame is chosen only once: a task with a
+/// missing input counts as failed, and a job rightly fails after three failures.
 fn pick(shared: &Shared) -> Option<Digest> {
     let mut state = shared.lock();
     let shared = state.chronicle.shared_inputs();
@@ -284,13 +284,13 @@ fn pick(shared: &Shared) -> Option<Digest> {
     Some(artifact)
 }
 
-/// Does something to an artifact; `false` if it was not there.
+/// Damages an artifact. Returns `false` if it does not exist.
 fn harms(shared: &Shared, shelf: &Shelf, artifact: &Digest, harm: Harm) -> bool {
     shared.lock().harmed.insert(*artifact);
     shelf.harm(artifact, harm)
 }
 
-/// Nothing goes between a host and the switch.
+/// Disconnects a host from the switch.
 fn cut(sim: &mut Sim<'_>, shared: &Shared, host: String) {
     sim.partition(host.as_str(), SWITCH);
     shared.lock().reach.cut(host);
@@ -301,7 +301,7 @@ fn mend(sim: &mut Sim<'_>, shared: &Shared, host: &str) {
     shared.lock().reach.mend(host);
 }
 
-/// Kills a process; `false` if it was dead.
+/// Kills a process. Returns `false` if it was dead.
 fn die(sim: &mut Sim<'_>, shared: &Shared, host: String, now: Duration) -> bool {
     let lives = sim.is_host_running(host.as_str());
     if lives {

@@ -1,4 +1,4 @@
-//! One world from its first moment to its end.
+//! Runs one world from start to end.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -13,29 +13,29 @@ use crate::weather::Weather;
 
 /// Step of the simulated time.
 const TICK: Duration = Duration::from_millis(5);
-/// When all jobs must have ended.
+/// Time by which all jobs must have ended.
 const END: Duration = Duration::from_secs(360);
 
-/// What came of a world.
+/// Result of a world.
 #[derive(Debug, Clone)]
 pub struct Outcome {
-    /// What must never be, and was.
+    /// Violations that occurred.
     pub violations: Vec<Violation>,
-    /// How often each kind of fault came about.
+    /// Number of times that each kind of fault took effect.
     pub fired: BTreeMap<&'static str, u32>,
     /// Simulated seconds.
     pub seconds: f64,
-    /// Digest of all that was said and written: the same seed gives the same.
+    /// Digest of all messages and records. Equal seeds give equal digests.
     pub trace: String,
-    /// All that was said, one line each, if it was asked for.
+    /// All messages, one line each, if requested.
     pub story: Vec<String>,
-    /// What people did, and how jobs ended.
+    /// Counts of actions of people and of ends of jobs.
     pub counts: BTreeMap<&'static str, u64>,
-    /// Results that came after their lease, or twice, and changed nothing.
+    /// Number of results that arrived after their lease or twice, and changed nothing.
     pub stale: u64,
 }
 
-/// Lives through the world of this seed and plan. `tells`: keep the story.
+/// Runs the world of this seed and plan. `tells`: whether all messages are kept.
 pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
     let cast = Cast::of(seed)?;
     line_up()?;
@@ -68,8 +68,9 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
     })
 }
 
-/// Tokio numbers the tasks of a process and drops those of a crashed host in an order that follows from the numbers: begins
-/// every world at a number of the same remainder. So worlds of one process do not live side by side.
+/// Makes task numbers reproducible: every world begins at a number with the same remainder. Tokio numbers the tasks of a process,
+/// and drops the tasks of a crashed host in an order that depends on these numbers. Therefore worlds of one process cannot run in
+/// parallel.
 pub(crate) fn line_up() -> std::io::Result<()> {
     const SHARDS: u64 = 64;
     let runtime = tokio::runtime::Builder::new_current_thread().build()?;
@@ -84,11 +85,11 @@ pub(crate) fn line_up() -> std::io::Result<()> {
     Ok(())
 }
 
-/// Whether a world's story is kept.
+/// Tells whether the messages of a world are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Tells {
-    /// Only its outcome.
+    /// Only the outcome is kept.
     Outcome,
-    /// Every message.
+    /// All messages are kept.
     Story,
 }

@@ -1,12 +1,12 @@
-//! How far the noise of frames moves the mean of an animation from frame to frame: frames of a scene by `--error`, some seeds each,
-//! beside the same frames by 16 samples a pixel and other seeds.
+//! Measures how much the noise of frames changes the mean of an animation from frame to frame. Renders frames of a scene with
+//! `--error` and several seeds, and compares them with the same frames at 16 samples per pixel and other seeds.
 //!
 //! `cargo run --release -p femc-tests --example drive -- [SCENE.mgf] [--error E] [--first FRAME] [--frames N] [--seeds N]`
 //!
-//! Without arguments: 12 frames of the drive (`scenes/roundabout.mgf`) from frame 50 on at `--error 0.1` and 160 x 90 pixels, 4 seeds. A
-//! line a frame: its mean luminance (cd/m2), samples a pixel, the change from the frame before by both, and by how many standard errors
-//! they differ. The standard errors are of all frames together: relative to the mean, one frame's is as another's. It ends with exit
-//! code 1 where a change differs by more than 4.5.
+//! Without arguments: 12 frames of the drive (`scenes/roundabout.mgf`) from frame 50 on, at `--error 0.1`, 160 x 90 pixels and 4
+//! seeds. Prints one line per frame: its mean luminance (cd/m2), samples per pixel, the change from the previous frame in both
+//! sets, and their difference in standard errors. The standard errors are pooled over all frames: relative to the mean, all frames
+//! have the same error. The exit code is 1 if a change differs by more than 4.5 standard errors.
 
 use femc_pipeline::{Settings, Stop};
 use femc_tests::honesty::{Experiment, Measured, Rule, Shot};
@@ -15,18 +15,18 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 
-/// Samples a pixel of what is true; its seeds are others.
+/// Samples per pixel of the reference frames. These use other seeds.
 const TRUE: u32 = 16;
 
-/// Pixels of a frame.
+/// Width and height of a frame in pixels.
 const SIZE: [u32; 2] = [160, 90];
 
-/// The means of a frame by its seeds.
+/// Mean of a frame over its seeds.
 struct Shots {
     mean: f64,
-    /// Variance of a seed's mean, relative to the mean's square.
+    /// Variance of the mean of one seed, relative to the squared mean.
     variance: f64,
-    /// Samples a pixel that were drawn.
+    /// Samples drawn per pixel.
     drawn: f64,
 }
 

@@ -1,6 +1,12 @@
-//! The first pass measured: `first_pass errors [--error E,E..] [--only WORD]` sets its own estimates of error beside true errors in scenes
-//! whose light is known; `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB]` solves scenes of more and
-//! more faces, with so much memory; `first_pass steps SCENE` says what the steps of a first pass that guides paths take; `first_pass fog SCENE [--error E,E..] [--rays N] [--samples N]` sets light in the fog of a scene beside what paths find.
+//! Measures the first pass.
+//!
+//! - `first_pass errors [--error E,E..] [--only WORD]` compares the solver's error estimates with true errors, in scenes whose
+//!   light is known.
+//! - `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB]` solves scenes with increasing numbers of
+//!   faces, within a memory limit.
+//! - `first_pass steps SCENE` prints the cost of each step of a first pass that guides paths.
+//! - `first_pass fog SCENE [--error E,E..] [--rays N] [--samples N]` compares light in the fog of a scene with the light that paths
+//!   find.
 //!
 //! `cargo run --release -p femc-tests --example first_pass -- errors`
 
@@ -51,7 +57,7 @@ fn numbers(text: &str) -> Result<Vec<f32>, std::num::ParseFloatError> {
     text.split(',').map(str::parse).collect()
 }
 
-/// Estimates of a solution's error, as shares of its light.
+/// Error estimates of a solution, as fractions of its light.
 const ESTIMATES: [&str; 6] = ["error", "corrected", "|checked-1|", "sum of both", "row sum-1", "error/4"];
 
 fn estimates(error: f32, solved: &Solved) -> [f64; 6] {
@@ -123,7 +129,7 @@ fn fog(path: &Path, errors: &[f32], rays: u32, samples: u32) -> Result<(), Box<d
     Ok(())
 }
 
-/// What each step takes, in one process.
+/// Prints the cost of each step, in one process.
 fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
     let (settings, cancel) = (Settings { method: Method::Femc, ..Settings::default() }, AtomicBool::new(false));
     let world = first_pass_world(&Source::new(Arc::new(femc_import::load_path(path)?.scene)), &settings, 1, None)?;
@@ -191,7 +197,7 @@ fn growth(kind: Kind, faces: &[f32], options: Options) {
     }
 }
 
-/// Slope of the line through the logarithms, by least squares.
+/// Computes the slope of a least-squares line through the logarithms.
 fn exponent(pairs: impl Iterator<Item = [f64; 2]>) -> f64 {
     let logs: Vec<[f64; 2]> = pairs.map(|pair| pair.map(|x| x.max(1e-9).ln())).collect();
     let n = logs.len() as f64;

@@ -1,4 +1,4 @@
-//! Fuzzes every decoder of the farm for a while; a panic is a finding, and its seed makes it again.
+//! Fuzzes every decoder of the farm for a while. A panic is a finding, and its seed reproduces it.
 //!
 //! `cargo run -p femc-tests --example fuzz -- --seconds 600 --seed 1 [--only NAME]`
 

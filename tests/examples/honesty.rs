@@ -1,9 +1,10 @@
-//! Whether images are right on average and their claimed errors the true ones: many seeds of a scene against its reference.
+//! Checks that images are right on average and that their claimed errors are true: compares many seeds of a scene with its
+//! reference.
 //!
 //! `cargo run --release -p femc-tests --example honesty -- SCENE.mgf REFERENCE (--error E | --spp N | --time S) [--method M] [--seeds N] [--old-rule]`
 //!
-//! REFERENCE: `<REFERENCE>_A.exr` and `<REFERENCE>_B.exr`, two independent images. `--old-rule` lets a tile end by the estimates that
-//! it stops: a control, which must fail. The clock of `--time` counts rays, 1e6 a second. One line of JSON.
+//! REFERENCE: `<REFERENCE>_A.exr` and `<REFERENCE>_B.exr`, two independent images. `--old-rule` stops a tile by its own error
+//! estimate. This is a control that must fail. The clock of `--time` counts rays, 1e6 per second. Prints one line of JSON.
 
 use femc_pipeline::{Method, Settings, Stop};
 use femc_tests::honesty::{Experiment, Measured, Rule, Verdict};

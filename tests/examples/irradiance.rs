@@ -1,5 +1,6 @@
-//! The first pass beside paths at points of a scene's surfaces: `irradiance SCENE POINTS.tsv [--make COUNT] [--error E,E..]`. With
-//! `--make` the points are made and written; else the file is read.
+//! Compares the first pass with paths at points of a scene's surfaces:
+//! `irradiance SCENE POINTS.tsv [--make COUNT] [--error E,E..]`. With `--make`, computes the points and writes the file. Otherwise
+//! reads the file.
 //!
 //! `cargo run --release -p femc-tests --example irradiance -- ../shared/scenes-real/soda.mgf tests/references/soda.tsv`
 
@@ -13,7 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Directions a point.
+/// Directions per point.
 const SAMPLES: u32 = 2048;
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -1,5 +1,4 @@
-//! Makes the references in `tests/references` again, by brute force: two independent images of each room, and what is known of
-//! them.
+//! Renders the references in `tests/references` again by brute force: two independent images of each room, and their statistics.
 //!
 //! `cargo run --release -p femc-tests --example references [-- NAME..]`
 
@@ -10,7 +9,7 @@ use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
 
-/// Samples a pixel of each half.
+/// Samples per pixel of each half.
 const SPP: u32 = 32_768;
 
 fn main() -> Result<(), Box<dyn Error>> {

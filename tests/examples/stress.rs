@@ -1,17 +1,17 @@
-//! Scenes at the edges of what a scene may be, each beside what is true of it: `cargo run --release -p femc-tests --example stress`.
+//! Measures extreme scenes and compares each with its known truth: `cargo run --release -p femc-tests --example stress`.
 //!
-//! - `--quick`: in seconds, to ten times the standard errors, without long cases;
-//! - `--coarser F`: to F times the standard errors, in about 1/F^2 of the time;
-//! - `--only GROUP`: one group (may be repeated); `--list` prints them;
+//! - `--quick`: takes seconds, with ten times the standard errors and without long cases;
+//! - `--coarser F`: allows F times the standard errors, in about 1/F^2 of the time;
+//! - `--only GROUP`: runs one group (may be repeated); `--list` prints the groups;
 //! - `--rays N`: grazing rays of the group `tight`, for instance `1e9`;
-//! - `--json`: a line of JSON for each line of the table.
+//! - `--json`: prints each line of the table as JSON.
 //!
-//! It ends with exit code 1 when a line does not hold. Seeds are fixed: a run says the same every time.
+//! The exit code is 1 if a line fails. Seeds are fixed, so all runs print the same.
 
 use femc_tests::stress::{Effort, GROUPS, Line, Verdict};
 use std::process::ExitCode;
 
-/// How lines are told.
+/// Output format.
 #[derive(Clone, Copy)]
 enum Form {
     Table,

@@ -1,5 +1,5 @@
-//! What a first pass gains the second one: for each scene the variance of paths that a field guides beside that of paths that nothing
-//! guides, at as many samples, and the processor seconds of both and of the first pass.
+//! Measures the gain from a first pass. For each scene, compares the variance of guided paths with that of unguided paths at equal
+//! samples, and prints the processor seconds of both and of the first pass.
 //!
 //! `cargo run --release -p femc-tests --example two_passes -- SCENE.mgf.. [--spp N] [--error E,E..] [--size N] [--image PREFIX]`
 
@@ -85,21 +85,21 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// What samples of one kind gave.
+/// Results of one kind of samples.
 #[derive(Default)]
 struct Measured {
-    /// By pixel the mean, cd/m2, and the variance of one sample.
+    /// Mean (cd/m2) and variance of one sample, for each pixel.
     pixels: Vec<[f64; 2]>,
     /// Mean over all pixels, and the square of its standard error.
     mean: f64,
     error2: f64,
-    /// Variance of one sample over the squared mean and 0.01, mean over all pixels.
+    /// Variance of one sample, divided by the squared mean plus 0.01 and averaged over all pixels.
     variance: f64,
-    /// Of the processor.
+    /// Processor seconds.
     seconds: f64,
 }
 
-/// Of the first against the mean of the other two, without what chance adds.
+/// Computes the relmse of `field` against the mean of the other two, minus their noise.
 fn relmse(field: &Measured, others: [&Measured; 2], spp: u32) -> f64 {
     let of = |k: usize| {
         let [a, b, c] = [field.pixels[k], others[0].pixels[k], others[1].pixels[k]];
@@ -110,7 +110,7 @@ fn relmse(field: &Measured, others: [&Measured; 2], spp: u32) -> f64 {
     (0..field.pixels.len()).map(of).sum::<f64>() / field.pixels.len() as f64
 }
 
-/// The same number of samples of paths, of guided ones, and of those that end with the field, by turns.
+/// Takes equal numbers of samples from unguided paths, guided paths, and paths that end with the field, in alternation.
 fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Measured; 3] {
     const TURNS: u32 = 4;
     let mut sums = [(); 3].map(|()| vec![[0.0f64; 2]; number as usize]);
@@ -120,7 +120,7 @@ fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Measur
             let samples = turn * spp / TURNS..(turn + 1) * spp / TURNS;
             let start = processor_seconds().unwrap_or(0.0);
             sums.par_chunks_mut(64).enumerate().for_each(|(chunk, sums)| {
-                // Other numbers each, so that their differences are chance.
+                // Each kind has its own seed, so that their errors are independent.
                 let path = PathSettings { seed: 1 + which as u64, max_depth: 0, only: None };
                 let mut tracer = Tracer::new(prepared, path);
                 tracer = match which {
@@ -150,7 +150,7 @@ fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Measur
             out.error2 += variance / n / f64::from(number).powi(2);
         }
     }
-    // Both over the same mean: that of few samples of a pixel says little of it.
+    // All variances are divided by the same mean, because the mean of few samples of a pixel is uncertain.
     let means: Vec<f64> = out[0].pixels.iter().zip(&out[1].pixels).map(|(a, b)| 0.5 * (a[0] + b[0])).collect();
     for out in &mut out {
         let of = |(pixel, mean): (&[f64; 2], &f64)| pixel[1] / (mean * mean + 1e-2);

@@ -1,4 +1,5 @@
-//! Whether two descriptions, or two ways to find light, give the same mean: by independent renderings and a test at a stated level.
+//! Checks that two scene descriptions, or two ways to find light, have the same mean: with independent renderings and a test at a
+//! stated level.
 
 use crate::scene_of;
 use femc_film::Filter;
@@ -10,22 +11,22 @@ use femc_stats::testing::z_test;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Independent renderings of an estimate.
+/// Independent renderings per estimate.
 const RENDERINGS: u64 = 48;
 
-/// A mean luminance of a film, cd/m2, and its standard error.
+/// Mean luminance of a film, cd/m2, and its standard error.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimate {
-    /// Of all samples.
+    /// Mean of all samples.
     pub mean: f64,
-    /// By what independent renderings differ.
+    /// Standard error, from the spread of independent renderings.
     pub error: f64,
 }
 
 impl Estimate {
-    /// Mean luminance of a scene's first frame by its first camera.
-    /// - `only`: the only way to find light; `None`: all, joined;
-    /// - `spp`: samples a pixel of each of 48 renderings.
+    /// Estimates the mean luminance of a scene's first frame, seen by its first camera.
+    /// - `only`: the only way to find light; `None`: all ways combined;
+    /// - `spp`: samples per pixel of each of 48 renderings.
     ///
     /// # Panics
     /// If the scene cannot be prepared, or a sample is not a finite number.
@@ -53,17 +54,18 @@ impl Estimate {
         Self { mean, error: (variance / n).sqrt() }
     }
 
-    /// The same of a scene by its files; the first is the scene.
+    /// Estimates the mean luminance of a scene given as files. The first file is the scene.
     pub fn of_files(files: &[(&str, &str)], spp: u32) -> Self {
         Self::of(&scene_of(files), None, spp)
     }
 
-    /// `factor` times this.
+    /// Multiplies the estimate by `factor`.
     pub fn times(self, factor: f64) -> Self {
         Self { mean: factor * self.mean, error: factor * self.error }
     }
 
-    /// Two-sided level at which the two are the same; rounding of the scene and of single precision, 1e-5, is no difference.
+    /// Returns the two-sided level at which the two are equal. Differences up to 1e-5 are ignored: they come from rounding of the
+    /// scene and of single precision.
     pub fn level(self, other: Self) -> f64 {
         let rounding = 1e-5 * self.mean.abs().max(other.mean.abs());
         z_test(self.mean - other.mean, self.error.hypot(other.error).hypot(rounding), 0.0)

@@ -1,10 +1,10 @@
-//! A second path tracer, to hold the renderer against: slow, in f64, and as simple as can be.
+//! A second path tracer, against which the renderer is compared. It is slow, uses f64, and is as simple as possible.
 //!
-//! It takes a scene's description from the renderer and nothing else: no tree of boxes, no choice of lights, no multiple
-//! importance sampling. A path finds light only by running into it, every triangle is tried for every segment, and
-//! directions come from uniform ones, by rejection or by weight. The price is tens of thousands of samples a pixel.
+//! It shares the scene description with the renderer and nothing else: no bounding volume hierarchy, no light sampling, no multiple
+//! importance sampling. A path finds light only by hitting it. Every triangle is tested for every segment. Directions are derived
+//! from uniform ones, by rejection or by weighting. The price is tens of thousands of samples per pixel.
 //!
-//! It knows triangles, opaque materials (`rd`, rough `rs`, `ed`), a pinhole camera and one gray medium that fills all space.
+//! It supports triangles, opaque materials (`rd`, rough `rs`, `ed`), a pinhole camera and one gray medium that fills all space.
 
 use crate::rng::Rng;
 use femc_film::Image;
@@ -13,21 +13,21 @@ use femc_scene::{Camera, Group, Material, Phase, RegionBounds, Scene, Sides, Tin
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_1_PI, TAU};
 
-/// Segments begin this far from their surface, m: coordinates of a few metres are exact to 1e-15.
+/// Distance from a surface at which segments begin, m. Coordinates of a few meters are exact to 1e-15.
 const NEAR: f64 = 1e-9;
 
-/// What scatters a path, from the camera on.
+/// Kind of scattering event along a path from the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scatterer {
-    /// The diffuse part of a surface.
+    /// Diffuse part of a surface.
     Diffuse,
-    /// The rough mirror of a surface.
+    /// Rough mirror of a surface.
     Glossy,
     /// Fog.
     Fog,
 }
 
-/// A scene that is ready for [`Brute::image`].
+/// A scene prepared for [`Brute::image`].
 pub struct Brute {
     triangles: Vec<Triangle>,
     surfaces: Vec<Surface>,
@@ -38,7 +38,7 @@ pub struct Brute {
 struct Triangle {
     corner: DVec3,
     edges: [DVec3; 2],
-    /// Unit, to the front.
+    /// Unit normal of the front.
     normal: DVec3,
     surface: usize,
 }
@@ -47,7 +47,7 @@ struct Surface {
     diffuse: DVec3,
     glossy: DVec3,
     alpha: f64,
-    /// Emitted, cd/m2.
+    /// Emitted radiance, cd/m2.
     radiance: DVec3,
     sides: Sides,
 }
@@ -61,16 +61,16 @@ struct Fog {
 struct Eye {
     origin: DVec3,
     forward: DVec3,
-    /// One pixel to the right and one down, at distance 1.
+    /// Steps of one pixel to the right and one down, at distance 1.
     steps: [DVec3; 2],
     film: [u32; 2],
 }
 
 impl Brute {
-    /// The scene by its first camera.
+    /// Prepares a scene, seen by its first camera.
     ///
     /// # Panics
-    /// If the scene has something that this tracer does not know.
+    /// If the scene contains something that this tracer does not support.
     pub fn new(scene: &Scene) -> Self {
         Self {
             triangles: triangles(&scene.groups[0]),
@@ -80,14 +80,14 @@ impl Brute {
         }
     }
 
-    /// Mean of `spp` samples a pixel; images of different seeds are independent.
+    /// Renders the mean of `spp` samples per pixel. Images of different seeds are independent.
     pub fn image(&self, seed: u32, spp: u32) -> Image {
         let [image] = self.classes(seed, spp, |_| [true]);
         image
     }
 
-    /// The same of the light of paths that are of some class, an image a class.
-    /// - `of`: to which classes a path belongs that meets a lamp, by what has scattered it.
+    /// Like [`Self::image`], but renders one image per class of paths.
+    /// - `of`: classes of a path that hits a lamp, given its scattering events.
     pub fn classes<const N: usize>(
         &self,
         seed: u32,
@@ -96,7 +96,7 @@ impl Brute {
     ) -> [Image; N] {
         let [width, height] = self.eye.film;
         let pixel = |index: u32| {
-            // The generator's streams begin at random places of its one sequence.
+            // Streams begin at random positions of the generator's single sequence.
             let mut rng = Rng::new(Rng::new(u64::from(seed) << 32 | u64::from(index)).bits());
             let corner = [index % width, index / width].map(f64::from);
             let mut sums = [DVec3::ZERO; N];
@@ -115,7 +115,7 @@ impl Brute {
         })
     }
 
-    /// Finds the radiance that comes in through a place of a pixel, cd/m2, lamp by lamp that a path meets.
+    /// Traces a path through a random point of a pixel. Reports the radiance of each lamp that it hits, cd/m2.
     fn sample(&self, corner: [f64; 2], rng: &mut Rng, found: &mut impl FnMut(&[Scatterer], DVec3)) {
         let (mut origin, mut dir) = (self.eye.origin, self.eye.direction(corner.map(|x| x + rng.unit())));
         let (mut throughput, mut path) = (DVec3::ONE, Vec::new());
@@ -153,7 +153,7 @@ impl Brute {
         seen.filter_map(|it| Some((it.meets(origin, dir)?, it))).min_by(|a, b| a.0.total_cmp(&b.0))
     }
 
-    /// Where the fog is met, if before `reach`.
+    /// Draws the distance of a collision with the fog, if it is less than `reach`.
     fn collision(&self, reach: f64, rng: &mut Rng) -> Option<(f64, &Fog)> {
         let fog = self.fog.as_ref()?;
         let t = -(1.0 - rng.unit()).ln() / fog.sigma_t;
@@ -180,7 +180,7 @@ impl Triangle {
         Self { corner: a, edges, normal: edges[0].cross(edges[1]).normalize(), surface }
     }
 
-    /// Distance along a ray, by Cramer's rule.
+    /// Returns the distance along a ray, computed with Cramer's rule.
     fn meets(&self, origin: DVec3, dir: DVec3) -> Option<f64> {
         let [e1, e2] = self.edges;
         let p = dir.cross(e2);
@@ -208,7 +208,7 @@ impl Surface {
         };
         assert_eq!(*material, known, "an opaque material without maps");
         let color = |tinted: &Tinted| DVec3::from(tinted.color) * tinted.amount;
-        // A channel that asks for more light than the surface receives is divided by that (docs/formats.md).
+        // If a channel would reflect more light than it receives, it is scaled down to 1 (docs/formats.md).
         let limit = (color(&material.rd) + color(&material.rs)).max(DVec3::ONE);
         Self {
             diffuse: color(&material.rd) / limit,
@@ -219,11 +219,12 @@ impl Surface {
         }
     }
 
-    /// A direction and the factor on light from there, by the part of the reflection that is drawn, and that part;
-    /// `None`: absorbed.
+    /// Draws a part of the reflection and a direction. Returns the direction, the factor on light from there, and the part; `None`:
+    /// absorbed.
     /// - `normal`: on the side of `wo`.
     fn scatter(&self, normal: DVec3, wo: DVec3, rng: &mut Rng) -> Option<(DVec3, DVec3, Scatterer)> {
-        // Chances of the parts: no smaller than their share in any channel, together at most 1 (a paint may be red, its gloss blue).
+        // Probabilities of the parts: at least their share in any channel, at most 1 together (a paint may be red and its gloss
+        // blue).
         let (diffuse, glossy) = (self.diffuse.max_element(), self.glossy.max_element());
         let both = (diffuse + glossy).max(1.0);
         let (diffuse, glossy) = (diffuse / both, glossy / both);
@@ -281,7 +282,7 @@ impl Eye {
         Self { origin: camera.origin, forward, steps, film: camera.film }
     }
 
-    /// Through a place of the film, pixels from the top left.
+    /// Returns the direction through a point of the film, in pixels from the top left.
     fn direction(&self, place: [f64; 2]) -> DVec3 {
         let [x, y] = [0, 1].map(|axis| place[axis] - 0.5 * f64::from(self.film[axis]));
         (self.forward + self.steps[0] * x + self.steps[1] * y).normalize()
@@ -289,12 +290,12 @@ impl Eye {
 }
 
 impl Rng {
-    /// In 0..1, 1 excluded.
+    /// Draws a number in 0..1, 1 excluded.
     fn unit(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// A unit direction with a density in proportion to `chance` (at most 1), by rejection.
+    /// Draws a unit direction with a density proportional to `chance` (at most 1), by rejection.
     fn direction(&mut self, chance: impl Fn(DVec3) -> f64) -> DVec3 {
         loop {
             let place = DVec3::from([(); 3].map(|()| 2.0 * self.unit() - 1.0));
@@ -324,7 +325,7 @@ mod tests {
             let image = Brute::new(&scene(&text)).image(1, 2000);
             let n = image.pixels.len();
             let mean = (0..n).map(|at| f64::from(image.luminance(at))).sum::<f64>() / n as f64;
-            // The number of walls met is geometric, of mean and variance 2: four standard errors.
+            // The number of walls hit is geometric, with mean and variance 2. The bound is four standard errors.
             let error = (2.0 / (n as f64 * 2000.0)).sqrt();
             assert!((mean - 2.0).abs() <= 4.0 * error, "{mean} +- {error}");
         }

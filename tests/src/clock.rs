@@ -1,9 +1,9 @@
-//! Time that this process has used.
+//! Processor time of this process.
 
-/// Seconds that this process has spent on its processors, over all threads, where the system says so.
+/// Returns the processor seconds of this process over all threads, if the system reports them.
 pub fn processor_seconds() -> Option<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
-    // User and system, in hundredths.
+    // User and system time, in hundredths of a second.
     Some((fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?) / 100.0)
 }

@@ -1,4 +1,4 @@
-//! Scenes of the first pass whose light is known in closed form, and what the first pass makes of them.
+//! Scenes whose light is known in closed form, and the solutions of the first pass for them.
 
 use femc_field::SurfaceSpot;
 use femc_geometry::Hit;
@@ -10,22 +10,22 @@ use std::f64::consts::PI;
 use std::fmt::Write as _;
 use std::sync::atomic::AtomicBool;
 
-/// A camera, which scenes must have.
+/// Text of a camera, because every scene needs one.
 pub const CAMERA: &str = "camera main =\n  origin .31 .42 .23\n  target .8 .6 .7\n  fov 90\n  film 24 24\n";
-/// A reflectance of surfaces that are there to receive light alone.
+/// Reflectance of surfaces that only receive light.
 pub const DARK: f64 = 1e-6;
-/// Points of a surface by axis.
+/// Points of a surface per axis.
 const EDGE: u32 = 32;
 
 /// A scene with its solution.
 pub struct Solved {
-    /// The frame.
+    /// The prepared frame.
     pub prepared: Prepared,
-    /// Its light, without what comes straight from lamps.
+    /// Light field without direct light of lamps.
     pub field: Field,
-    /// Of the same leaves what comes straight from lamps.
+    /// Direct light of lamps on the same leaves.
     pub direct: Field,
-    /// How it was found.
+    /// Report of the solver.
     pub report: Report,
 }
 
@@ -33,7 +33,7 @@ impl Solved {
     /// Solves a scene.
     ///
     /// # Panics
-    /// When the text is not a scene: tests only.
+    /// If the text is not a scene; this is for tests only.
     pub fn new(text: &str, options: &Options) -> Self {
         let source = Source::new(crate::scene(text));
         let prepared = prepare(&source, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
@@ -43,7 +43,7 @@ impl Solved {
         Self { prepared, field, direct, report }
     }
 
-    /// A point of a surface, m in the scene's frame, and the irradiance there, lx: from elements, and straight from lamps.
+    /// Returns a point of a surface, m in the scene's frame, and the irradiance there, lx: from elements, and directly from lamps.
     /// - `place`: parameters of the point.
     pub fn at(&self, surface: usize, place: [f32; 2]) -> (DVec3, [f64; 2]) {
         let it = &self.field.surfaces[surface];
@@ -60,7 +60,7 @@ impl Solved {
         (self.prepared.origin + position.as_dvec3(), values)
     }
 
-    /// The same at points spread evenly over a surface.
+    /// Returns points spread evenly over a surface, with the values of [`Solved::at`].
     pub fn over(&self, surface: usize) -> Vec<(DVec3, [f64; 2])> {
         let is_triangle = matches!(self.field.surfaces[surface].form, Form::Triangle(_));
         let place = |k: u32| {
@@ -70,34 +70,34 @@ impl Solved {
         (0..EDGE * EDGE).map(|k| self.at(surface, place(k))).collect()
     }
 
-    /// Mean irradiance of a surface, as [`Solved::at`] has it.
+    /// Returns the mean irradiance of a surface, with the two parts of [`Solved::at`].
     pub fn mean(&self, surface: usize) -> [f64; 2] {
         let over = self.over(surface);
         [0, 1].map(|kind| over.iter().map(|(_, values)| values[kind]).sum::<f64>() / over.len() as f64)
     }
 
-    /// Surfaces on this side.
+    /// Returns the surfaces on this side.
     pub fn sides(&self, side: Side) -> Vec<usize> {
         (0..self.field.surfaces.len()).filter(|&k| self.field.surfaces[k].side == side).collect()
     }
 
-    /// Mean radiance from all around at a point in fog, without what comes straight from lamps, cd/m2.
+    /// Returns the mean radiance over all directions at a point in fog, without direct light of lamps, cd/m2.
     /// - `point`: m in the scene's frame.
     pub fn in_fog(&self, point: DVec3) -> f64 {
         f64::from(luminance(self.field.fog.mean_radiance((point - self.prepared.origin).as_vec3a())))
     }
 }
 
-/// What the first pass has beside what is true.
+/// Pairs of a value of the first pass and the true value.
 pub type Pairs = Vec<[f64; 2]>;
 
-/// A scene, and what is known of its light.
+/// A scene with known light.
 pub struct Case {
-    /// What it is.
+    /// Name of the case.
     pub name: String,
-    /// The scene.
+    /// Text of the scene.
     pub text: String,
-    /// What is known.
+    /// Function that pairs values of a solution with the known ones.
     read: Box<dyn Fn(&Solved) -> Pairs>,
 }
 
@@ -106,7 +106,7 @@ impl Case {
         Self { name, text, read: Box::new(read) }
     }
 
-    /// Solves it with links of this error.
+    /// Solves the scene with links of this error.
     pub fn solve(&self, error: f32) -> (Solved, Pairs) {
         let solved = Solved::new(&self.text, &Options { error, ..Options::default() });
         let pairs = (self.read)(&solved);
@@ -114,18 +114,18 @@ impl Case {
     }
 }
 
-/// Errors of a solution's light, as shares of the true light's mean.
+/// Errors of a solution's light, relative to the mean of the true light.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
-    /// Of the mean, with its sign.
+    /// Signed error of the mean.
     pub mean: f64,
-    /// Root mean square.
+    /// Root mean square error.
     pub rms: f64,
-    /// Greatest.
+    /// Greatest absolute error.
     pub most: f64,
 }
 
-/// Errors of pairs.
+/// Computes the errors of pairs.
 pub fn errors(pairs: &[[f64; 2]]) -> Errors {
     let n = pairs.len() as f64;
     let [have, want] = [0, 1].map(|k| pairs.iter().map(|pair| pair[k]).sum::<f64>() / n);
@@ -134,7 +134,7 @@ pub fn errors(pairs: &[[f64; 2]]) -> Errors {
     Errors { mean: have / want - 1.0, rms: squares.sqrt() / want, most: most / want }
 }
 
-/// Faces of four corners, with the material in force.
+/// Appends quadrilateral faces with the current material.
 fn faces(text: &mut String, name: &str, corners: &[[f64; 3]], faces: &[&[usize]]) {
     for (k, [x, y, z]) in corners.iter().enumerate() {
         let _ = writeln!(text, "v {name}{k} =\n  p {x} {y} {z}");
@@ -149,11 +149,11 @@ fn corners([x, y, z]: [f64; 3]) -> [[f64; 3]; 8] {
     [[0., 0., 0.], [x, 0., 0.], [x, y, 0.], [0., y, 0.], [0., 0., z], [x, 0., z], [x, y, z], [0., y, z]]
 }
 
-/// Of a box's corners its faces inward: floor, ceiling, sides along x, y, x, y.
+/// Corner indices of a box's inward faces: floor, ceiling, sides along x, y, x, y.
 const INWARD: [&[usize]; 6] =
     [&[0, 1, 2, 3], &[7, 6, 5, 4], &[0, 4, 5, 1], &[1, 5, 6, 2], &[2, 6, 7, 3], &[3, 7, 4, 0]];
 
-/// Form factor from a point to a polygon that is all above its horizon, by Lambert's formula.
+/// Computes the form factor from a point to a polygon above its horizon, with Lambert's formula.
 /// - `corners`: clockwise as seen from the point.
 fn form_factor(point: DVec3, normal: DVec3, corners: &[DVec3]) -> f64 {
     let edge = |k: usize| {
@@ -165,8 +165,8 @@ fn form_factor(point: DVec3, normal: DVec3, corners: &[DVec3]) -> f64 {
     ((0..corners.len()).map(edge).sum::<f64>() / (2.0 * PI)).abs()
 }
 
-/// A unit cube whose walls shine evenly and of which the floor alone reflects: the others receive of it what their form factors say
-/// (Lambert's formula at each point).
+/// A unit cube whose walls emit evenly and whose floor is the only reflector. The other walls receive its light according to their
+/// form factors (Lambert's formula at each point).
 pub fn floor_alone() -> Case {
     let mut text = String::from(CAMERA);
     let at = corners([1.0; 3]);
@@ -186,8 +186,8 @@ pub fn floor_alone() -> Case {
     })
 }
 
-/// Light of a room of luminance 1 that shines through a disc of radius `r2`, and a coaxial disc of radius `r1` at distance `h` that
-/// receives it (\[howell2010\]).
+/// A disc of radius `r2` transmits light of a room of luminance 1. A coaxial disc of radius `r1` at distance `h` receives it
+/// (\[howell2010\]).
 pub fn discs(r1: f64, r2: f64, h: f64) -> Case {
     let mut text = format!("{CAMERA}m room =\n  sides 1\n  ed {PI}\n");
     let at = corners([20.0, 20.0, 10.0]).map(|[x, y, z]| [x - 10.0, y - 10.0, z - 10.0]);
@@ -198,7 +198,7 @@ pub fn discs(r1: f64, r2: f64, h: f64) -> Case {
          m plate =\n  sides 1\n  rd {DARK}\nv high =\n  p 0 0 {h}\n  n 0 0 -1\nring high 0 {r1}\n"
     );
     Case::new(format!("discs of {r1}, {r2} at {h}"), text, move |solved| {
-        // Sides in the order of the scene: the paper's front and back, the plate.
+        // Sides are in scene order: front and back of the paper, then the plate.
         let pair = |(point, [have, _]): (DVec3, [f64; 2])| {
             let a2 = point.x * point.x + point.y * point.y;
             let z = h * h + a2 + r2 * r2;
@@ -208,13 +208,13 @@ pub fn discs(r1: f64, r2: f64, h: f64) -> Case {
     })
 }
 
-/// Form factor of two coaxial discs, from the first (\[howell2010\], C-41).
+/// Form factor of two coaxial discs, from the first to the second (\[howell2010\], C-41).
 pub fn of_discs(r1: f64, r2: f64, h: f64) -> f64 {
     let s = 1.0 + (h * h + r2 * r2) / (r1 * r1);
     0.5 * (s - (s * s - 4.0 * (r2 / r1).powi(2)).sqrt())
 }
 
-/// A ball of radius 0.5 of evenly bright paper over a plate, 1 m below its middle: (R / d)^2 times the cosine.
+/// A ball of radius 0.5 of evenly bright paper over a plate 1 m below its center: (R / d)^2 times the cosine.
 pub fn ball() -> Case {
     let mut text = format!("{CAMERA}m plate =\n  sides 1\n  rd {DARK}\n");
     faces(&mut text, "p", &[[-2., -2., 0.], [2., -2., 0.], [2., 2., 0.], [-2., 2., 0.]], &[&[0, 1, 2, 3]]);
@@ -229,8 +229,8 @@ pub fn ball() -> Case {
     })
 }
 
-/// A closed unit cube that shines evenly, clear or with fog that takes nothing: all points receive the same, of which what comes
-/// straight from the walls is an integral.
+/// A closed unit cube that emits evenly, clear or with fog that does not absorb. All points receive the same light. The part that
+/// comes directly from the walls is an integral.
 /// - `scattering`: 1/m.
 pub fn furnace(reflectance: f64, scattering: f64) -> Case {
     let fog = format!("medium air =\n  sigma_s {scattering}\nmbox air 0 0 0 1 1 1\n");
@@ -250,7 +250,7 @@ pub fn furnace(reflectance: f64, scattering: f64) -> Case {
     })
 }
 
-/// The same, in the fog: mean radiance from all around.
+/// Like [`furnace`], but compares the mean radiance over all directions in the fog.
 pub fn furnace_fog(reflectance: f64, scattering: f64) -> Case {
     let walls = furnace(reflectance, scattering);
     Case::new(format!("{}, in it", walls.name), walls.text, move |solved| {
@@ -261,7 +261,7 @@ pub fn furnace_fog(reflectance: f64, scattering: f64) -> Case {
     })
 }
 
-/// Normal inward of the unit cube's wall that a point lies on.
+/// Returns the inward normal of the unit cube's wall that contains a point.
 fn inward(point: DVec3) -> DVec3 {
     let from_middle = point - 0.5;
     let axis = (1..3).fold(0, |best, axis| if from_middle[axis].abs() > from_middle[best].abs() { axis } else { best });
@@ -270,7 +270,8 @@ fn inward(point: DVec3) -> DVec3 {
     normal
 }
 
-/// Light straight from the unit cube's walls of luminance 1 that comes through fog to a point, by the cosine if there is a normal.
+/// Computes the light that arrives at a point through fog directly from the unit cube's walls of luminance 1. With a normal, it is
+/// weighted by the cosine.
 fn straight(point: DVec3, normal: Option<DVec3>, extinction: f64) -> f64 {
     let distance = |dir: DVec3| {
         let along = |axis: usize| match dir[axis] {
@@ -280,7 +281,7 @@ fn straight(point: DVec3, normal: Option<DVec3>, extinction: f64) -> f64 {
         };
         along(0).min(along(1)).min(along(2))
     };
-    // The middle of cells of equal solid angle, or of equal share by the cosine.
+    // Samples are centers of cells of equal solid angle, or of equal cosine-weighted solid angle.
     const N: u32 = 96;
     let mut sum = 0.0;
     for k in 0..N * N {
@@ -294,9 +295,9 @@ fn straight(point: DVec3, normal: Option<DVec3>, extinction: f64) -> f64 {
     sum / f64::from(N * N) * if normal.is_some() { PI } else { 4.0 * PI }
 }
 
-/// A sphere of radius 1 with a small lamp in its middle.
-/// - `port`: share of the sphere that is open: behind a black disc.
-/// - `absorption`: of the gas in it, 1/m.
+/// A sphere of radius 1 with a small lamp at its center.
+/// - `port`: fraction of the sphere's area that is open, which lies behind a black disc.
+/// - `absorption`: of the gas in the sphere, 1/m.
 pub fn sphere(reflectance: f64, port: f64, absorption: f64) -> Case {
     let mut text = format!(
         "{CAMERA}m wall =\n  sides 1\n  rd {reflectance}\nv c =\n  p 0 0 0\nsph c -1\n\
@@ -322,23 +323,22 @@ pub fn sphere(reflectance: f64, port: f64, absorption: f64) -> Case {
     })
 }
 
-/// A slab of fog, 1 m thick and wide, under a lamp of luminance 1: what comes back and what goes through in its middle, over what falls
-/// on it.
+/// A broad slab of fog, 1 m thick, under a lamp of luminance 1. Compares reflected and transmitted light at its center with the
+/// incident light.
 #[derive(Clone, Copy, Debug)]
 pub struct Slab {
     /// Optical thickness.
     pub thickness: f64,
     /// Single scattering albedo.
     pub albedo: f64,
-    /// Half of its breadth, m.
+    /// Half of its width, m.
     pub reach: f64,
-    /// Lamps by axis.
+    /// Lamps per axis.
     pub lamps: u32,
 }
 
 impl Slab {
-    /// The scene: a plate that looks down on the slab and one that looks up at it, so small
-    /// that they shade nothing.
+    /// Returns the scene: one plate faces the slab from above and one from below. They are so small that they shade nothing.
     pub fn text(&self) -> String {
         let Self { thickness, albedo, reach, lamps } = *self;
         let fog = format!("  sigma_s {}\n  sigma_a {}\n", thickness * albedo, thickness * (1.0 - albedo));
@@ -357,13 +357,13 @@ impl Slab {
         text
     }
 
-    /// Reflected, transmitted, and of that transmitted straight.
+    /// Returns the reflected light, the transmitted light, and the directly transmitted part.
     pub fn read(solved: &Solved) -> [f64; 3] {
         let ([up, _], [down, straight]) = (solved.mean(0), solved.mean(1));
         [up, down + straight, straight].map(|value| value / PI)
     }
 
-    /// As a case: what is reflected and what is transmitted after scattering.
+    /// Turns the slab into a case with known reflected and transmitted light. Compares the scattered parts.
     pub fn case(self, reflected: f64, transmitted: f64) -> Case {
         let straight = 2.0 * third_exponential_integral(self.thickness);
         let name = format!("a slab of {} and albedo {}", self.thickness, self.albedo);
@@ -374,16 +374,16 @@ impl Slab {
     }
 }
 
-/// E3(x), the integral of exp(-x / m) m over m from 0 to 1.
+/// Computes E3(x), the integral of exp(-x / m) m over m from 0 to 1.
 pub fn third_exponential_integral(x: f64) -> f64 {
     const N: u32 = 100_000;
     (0..N).map(|k| (f64::from(k) + 0.5) / f64::from(N)).map(|m| (-x / m).exp() * m).sum::<f64>() / f64::from(N)
 }
 
-/// A small lamp in fog without end of extinction 1/m: the light that has been scattered, at 1, 2 and 3 m.
+/// A small lamp in unbounded fog of extinction 1/m. Compares the scattered light at 1, 2 and 3 m.
 /// - `walled`: whether there is a surface far away.
 pub fn lamp_in_fog(albedo: f64, reach: f64, walled: bool) -> Case {
-    // Fluence by albedo (brief T8: the integral for an isotropic point of 1 W), less what comes straight.
+    // Fluence by albedo (brief T8: the integral for an isotropic point of 1 W). The direct part is subtracted below.
     let fluence =
         if albedo < 0.7 { [0.058_695_1, 0.007_927_62, 0.001_722_20] } else { [0.143_284, 0.037_126_4, 0.014_140_0] };
     let radius = 0.01f64;
@@ -406,7 +406,7 @@ pub fn lamp_in_fog(albedo: f64, reach: f64, walled: bool) -> Case {
                 [DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X, DVec3::ONE, DVec3::new(1.0, -1.0, 1.0), DVec3::NEG_ONE]
             {
                 let have = solved.in_fog(dir.normalize() * r) * 4.0 * PI / flux;
-                // Alike in weight, whatever the distance.
+                // All distances have equal weight.
                 pairs.push([have / want, 1.0]);
             }
         }
@@ -414,7 +414,7 @@ pub fn lamp_in_fog(albedo: f64, reach: f64, walled: bool) -> Case {
     })
 }
 
-/// Slabs of fog with what they reflect and let through of diffuse light (brief T12).
+/// Slabs of fog: optical thickness, albedo, reflected and transmitted fraction of diffuse light (brief T12).
 pub const SLABS: [(f64, f64, f64, f64); 7] = [
     (0.1, 1.0, 0.084_30, 0.915_70),
     (0.5, 1.0, 0.295_83, 0.704_17),
@@ -425,7 +425,7 @@ pub const SLABS: [(f64, f64, f64, f64); 7] = [
     (5.0, 0.9, 0.476_32, 0.053_43),
 ];
 
-/// All of them.
+/// Returns all cases.
 pub fn all() -> Vec<Case> {
     let mut cases = vec![floor_alone()];
     cases.extend([(1.0, 1.0, 1.0), (1.0, 2.0, 1.0), (0.5, 1.0, 2.0)].map(|(r1, r2, h)| discs(r1, r2, h)));

@@ -1,5 +1,5 @@
-//! Light in fog, but for what is scattered straight from light sources: along the camera's rays and from all around points, by paths
-//! and by the first pass.
+//! Computes light in fog along camera rays and around points, with paths and with the first pass. Excludes light that fog scatters
+//! directly from light sources.
 
 use crate::rng::Rng;
 use femc_field::{FogTree, Line};
@@ -13,12 +13,12 @@ use femc_prepared::camera::{CameraPose, KernelCamera};
 use femc_prepared::media::{Inside, MediaRay};
 use rayon::prelude::*;
 
-/// What paths find, and its standard error.
+/// Mean over paths, and its standard error.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Estimate {
-    /// The mean.
+    /// Mean value.
     pub mean: f64,
-    /// Its standard error.
+    /// Standard error of the mean.
     pub error: f64,
 }
 
@@ -31,29 +31,29 @@ impl Estimate {
     }
 }
 
-/// A ray of the camera, and luminance of what fog scatters on it toward the camera, cd/m2.
+/// A camera ray, and the luminance that fog on it scatters toward the camera, cd/m2.
 #[derive(Clone, Copy, Debug)]
 pub struct Along {
-    /// Its origin, prepared frame, m.
+    /// Origin, prepared frame, m.
     pub origin: Vec3A,
-    /// Its unit direction.
+    /// Unit direction.
     pub dir: Vec3A,
-    /// Distance of the surface that it meets, m.
+    /// Distance of the surface that it hits, m.
     pub length: f32,
-    /// By paths.
+    /// Result of the paths.
     pub found: Estimate,
 }
 
-/// A point in fog, and mean luminance from all around, cd/m2.
+/// A point in fog, and the mean luminance over all directions, cd/m2.
 #[derive(Clone, Copy, Debug)]
 pub struct Around {
-    /// Prepared frame, m.
+    /// Position, prepared frame, m.
     pub point: Vec3A,
-    /// By paths.
+    /// Result of the paths.
     pub found: Estimate,
 }
 
-/// All samples in the middle of a pixel.
+/// Pixel filter that puts all samples at the center of a pixel.
 #[derive(Clone, Copy)]
 struct Middle;
 
@@ -71,11 +71,11 @@ fn settings(seed: u64) -> PathSettings {
     PathSettings { seed, max_depth: 0, only: None }
 }
 
-/// The middle of so many pixels, spread over the film, with what `samples` paths each find.
+/// Traces `samples` paths through each of `count` pixel centers, spread over the film.
 pub fn along(prepared: &Prepared, count: u32, samples: u32) -> Vec<Along> {
     let [width, height] = prepared.camera.film;
     let of = |k: u32| {
-        // A lattice that fills the film evenly.
+        // This lattice fills the film evenly.
         let [x, y] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3].map(|a| (0.5 + a * f64::from(k)).fract());
         let pixel = (y * f64::from(height)) as u32 * width + (x * f64::from(width)) as u32;
         let ray = prepared.camera.view([0.5; 2], 0.5).ray(prepared.camera.center(pixel));
@@ -90,7 +90,7 @@ pub fn along(prepared: &Prepared, count: u32, samples: u32) -> Vec<Along> {
     (0..count).into_par_iter().map(of).collect()
 }
 
-/// Light that fog has scattered on the camera's segment, and something else before.
+/// Returns the light of a path that fog scatters on the camera's segment after at least one other scattering event.
 fn scattered_again(path: &Recording) -> f64 {
     let Some(first) = path.steps.first() else { return 0.0 };
     if !matches!(first.vertex.place, Place::Medium(_)) {
@@ -103,7 +103,7 @@ fn scattered_again(path: &Recording) -> f64 {
     path.contributions.iter().filter(counts).map(|(part, _)| f64::from(luminance(part.color))).sum()
 }
 
-/// Points where the camera's rays are scattered, with what paths in `samples` directions each find.
+/// Draws points where camera rays are scattered, and traces paths in `samples` directions from each.
 pub fn around(prepared: &mut Prepared, rays: &[Along], samples: u32) -> Vec<Around> {
     let mut media = MediaRay::default();
     let mut rng = Rng::new(3);
@@ -111,7 +111,7 @@ pub fn around(prepared: &mut Prepared, rays: &[Along], samples: u32) -> Vec<Arou
     let points: Vec<Vec3A> = rays
         .iter()
         .filter_map(|ray| {
-            // Where the fog has taken an even share of what it takes of the ray.
+            // The position is uniform in the fraction of the ray's light that the fog removes.
             let scene = &prepared.media;
             scene.along(ray.origin, ray.dir, ray.length, &Inside::default(), &mut media).then_some(())?;
             let (first, last) = scene.scattering_range(&media)?;
@@ -137,7 +137,7 @@ pub fn around(prepared: &mut Prepared, rays: &[Along], samples: u32) -> Vec<Arou
     found
 }
 
-/// By rays of cameras at the point, each with a direction of its own.
+/// Estimates the mean with cameras at the point, one per direction.
 fn from_all(prepared: &mut Prepared, point: Vec3A, samples: u32) -> Estimate {
     const FILM: u32 = 64;
     let mut rng = Rng::new(u64::from(point.x.to_bits()) << 32 | u64::from(point.y.to_bits()));
@@ -160,14 +160,15 @@ fn from_all(prepared: &mut Prepared, point: Vec3A, samples: u32) -> Estimate {
     Estimate::of(values.into_iter())
 }
 
-/// What a tree of fog makes of them.
+/// Comparison of a fog tree with paths.
 #[derive(Clone, Copy, Debug)]
 pub struct Compared {
-    /// Mean over the paths' mean.
+    /// Mean of the tree over the mean of the paths.
     pub ratio: f64,
-    /// Root mean square of the differences, the paths' own variance taken off, over the mean.
+    /// Root mean square of the differences, minus the variance of the paths, relative to the mean.
     pub rms: f64,
-    /// The same of relative differences, where a tenth of the mean is added to each.
+    /// Root mean square of the relative differences, minus the variance of the paths. A tenth of the mean is added to each
+    /// denominator.
     pub relative: f64,
     /// Standard error of the ratio.
     pub error: f64,
@@ -184,7 +185,7 @@ fn compared(pairs: &[(f64, Estimate)]) -> Compared {
     Compared { ratio: have / want, rms: squares.max(0.0).sqrt() / want, relative: relative.max(0.0).sqrt(), error }
 }
 
-/// Light along rays.
+/// Compares the light along rays.
 pub fn compare_along(fog: &FogTree, rays: &[Along]) -> Compared {
     let mut line = Line::default();
     let mut have = |ray: &Along| {
@@ -194,7 +195,7 @@ pub fn compare_along(fog: &FogTree, rays: &[Along]) -> Compared {
     compared(&rays.iter().map(|ray| (have(ray), ray.found)).collect::<Vec<_>>())
 }
 
-/// Light from all around points.
+/// Compares the mean light over all directions at points.
 pub fn compare_around(fog: &FogTree, points: &[Around]) -> Compared {
     let have = |at: &Around| f64::from(luminance(fog.mean_radiance(at.point)));
     compared(&points.iter().map(|at| (have(at), at.found)).collect::<Vec<_>>())

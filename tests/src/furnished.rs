@@ -1,15 +1,15 @@
-//! Scenes of as many faces as wanted, the same at any time.
+//! Generates scenes with any number of faces. Equal arguments give equal scenes.
 
 use crate::closed_forms::CAMERA;
 use crate::rng::Rng;
 use std::fmt::Write as _;
 
-/// What is in a scene.
+/// Kind of scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A closed room with boxes on its floor and four lamps at its ceiling.
+    /// A closed room with boxes on the floor and four lamps at the ceiling.
     Room,
-    /// A rough ground of quadrangles under four lamps.
+    /// Hilly ground under four lamps.
     Terrain,
 }
 
@@ -17,7 +17,7 @@ fn vertex(text: &mut String, name: &str, [x, y, z]: [f64; 3]) {
     let _ = writeln!(text, "v {name} =\n  p {x:.6} {y:.6} {z:.6}");
 }
 
-/// A scene of about so many faces, and how many they are.
+/// Generates a scene of about `faces` faces. Returns its text and the exact number.
 pub fn furnished(kind: Kind, faces: usize) -> (String, usize) {
     let mut text = String::from(CAMERA);
     let mut rng = Rng::new(faces as u64);
@@ -43,7 +43,7 @@ pub fn furnished(kind: Kind, faces: usize) -> (String, usize) {
         for k in 0..n * n {
             let a = k / n * (n + 1) + k % n;
             let [b, c, d] = [a + 1, a + n + 2, a + n + 1];
-            // A quadrangle on a hill has no plane: two triangles.
+            // A quadrilateral on a hill is not planar, so it becomes two triangles.
             let _ = writeln!(text, "f g{a} g{b} g{c}\nf g{a} g{c} g{d}");
             count += 2;
         }

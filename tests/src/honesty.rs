@@ -1,4 +1,4 @@
-//! Whether an image is right on average and the error that it claims is the true one: many seeds against a reference.
+//! Checks that images are right on average and that their claimed errors are true: compares many seeds with a reference.
 
 use crate::reference::Reference;
 use femc_film::tile::OPEN;
@@ -12,19 +12,19 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// By what a tile's samples end.
+/// Rule that ends a tile's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// By the settings' rule.
+    /// The rule of the settings.
     Settings,
-    /// By the very estimates that it stops, for tests: an image by it is too dark.
+    /// The tile's own error estimate. A control for tests, because it makes images too dark.
     Peeking,
 }
 
-/// Of the clock that frames go by which have a time: it counts rays.
+/// Rays per second of the clock that limits frames by time.
 pub const RAYS_A_SECOND: f64 = 1e6;
 
-/// A scene that is rendered with many seeds.
+/// A scene to be rendered with many seeds.
 pub struct Experiment {
     prepared: Prepared,
     settings: Settings,
@@ -32,20 +32,20 @@ pub struct Experiment {
     rounds: Vec<u32>,
 }
 
-/// One image.
+/// An image with its claimed error.
 pub struct Shot {
     /// The image.
     pub image: FrameImage,
-    /// What it claims.
+    /// Claimed error.
     pub error: FrameError,
-    /// Samples a pixel that were drawn, averaged over the film.
+    /// Samples drawn per pixel, averaged over the film.
     pub drawn: f64,
-    /// Samples a pixel of the tile that has most.
+    /// Samples per pixel of the tile with the most samples.
     pub longest: f64,
 }
 
 impl Shot {
-    /// Mean luminance of the frame, cd/m2.
+    /// Returns the mean luminance of the frame, cd/m2.
     pub fn mean(&self) -> f64 {
         let pixels = self.image.color.pixels.len();
         (0..pixels).map(|at| f64::from(self.image.color.luminance(at))).sum::<f64>() / pixels as f64
@@ -53,25 +53,26 @@ impl Shot {
 }
 
 impl Experiment {
-    /// Of the first frame.
-    /// - errors: settings that are none of the scene's.
+    /// Prepares the first frame.
+    /// - errors: settings that do not fit the scene.
     pub fn new(scene: &Arc<Scene>, settings: Settings) -> Result<Self, PlanError> {
         Self::of_frame(scene, settings, 1)
     }
 
+    /// Prepares a frame.
     /// - `frame`: counted from 1;
-    /// - errors: settings that are none of the scene's, a frame that it has not.
+    /// - errors: settings that do not fit the scene, or a missing frame.
     pub fn of_frame(scene: &Arc<Scene>, settings: Settings, frame: u32) -> Result<Self, PlanError> {
         let plan = plan(scene, &settings, Some(&[frame]))?;
-        // No seed changes what is rendered, nor its first pass.
+        // The prepared frame and its first pass do not depend on the seed.
         let prepared = prepare(&Source::new(scene.clone()), &settings, frame, None)?;
         Ok(Self { prepared, settings, tiling: plan.tiling, rounds: plan.rounds })
     }
 
-    /// The image of a seed.
+    /// Renders the image of a seed.
     ///
     /// # Panics
-    /// When it cannot be rendered: tests only.
+    /// If it cannot be rendered; this is for tests only.
     pub fn shot(&self, seed: u64, rule: Rule) -> Shot {
         let settings = Settings { seed, ..self.settings.clone() };
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
@@ -88,12 +89,12 @@ impl Experiment {
     }
 }
 
-/// A frame whose tiles end by a rule, as the farm's do.
-/// - `rounds`: samples a pixel at the end of each round.
-/// - `draw`: the samples of a tile.
+/// Renders a frame whose tiles end by a rule, as in the farm.
+/// - `rounds`: samples per pixel at the end of each round.
+/// - `draw`: function that draws the samples of a tile.
 ///
 /// # Panics
-/// When samples do not fit those before: tests only.
+/// If samples do not fit the earlier ones; this is for tests only.
 pub fn frame(
     settings: &Settings,
     rounds: &[u32],
@@ -108,7 +109,7 @@ pub fn frame(
     by_rounds(tiling, rounds, draw, decide).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// A tile ends when its own image has the error that was asked for, by the samples that it is made of.
+/// Ends a tile when the error estimate from its own samples is small enough.
 fn peek(stop: Stop, tiles: &[TileErrors], next: Option<u32>) -> (RoundVerdict, Stops) {
     let Stop::Error(most) = stop else { panic!("a rule without an error") };
     let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
@@ -125,14 +126,14 @@ fn peek(stop: Stop, tiles: &[TileErrors], next: Option<u32>) -> (RoundVerdict, S
 /// A number and its standard error.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Measured {
-    /// The number.
+    /// Value of the number.
     pub value: f64,
-    /// Its standard error.
+    /// Standard error of the number.
     pub error: f64,
 }
 
 impl Measured {
-    /// The mean of independent values.
+    /// Computes the mean of independent values.
     pub fn mean(values: &[f64]) -> Self {
         let n = values.len() as f64;
         let value = values.iter().sum::<f64>() / n;
@@ -141,28 +142,29 @@ impl Measured {
     }
 }
 
-/// What many seeds say together.
+/// Statistics of many seeds.
 #[derive(Clone, Copy, Debug)]
 pub struct Verdict {
-    /// Mean of the frame's luminance over seeds less the reference's, relative to it; with both's noise.
+    /// Mean luminance over seeds minus the reference's, relative to the reference's, with the noise of both.
     pub bias: Measured,
-    /// Share of the blocks' 95 % intervals, in all seeds, that hold the reference, whose own noise widens them.
+    /// Fraction of the blocks' 95 % intervals, over all seeds, that contain the reference. The noise of the reference widens the
+    /// intervals.
     pub coverage: Measured,
-    /// Mean over seeds of the true relmse, less the reference's own noise.
+    /// True relmse, averaged over seeds, minus the noise of the reference.
     pub relmse: Measured,
-    /// True over claimed relmse.
+    /// True relmse over claimed relmse.
     pub honesty: Measured,
-    /// Largest claimed error of a block, 95 %.
+    /// Largest claimed error of a block, at 95 %.
     pub worst: Measured,
-    /// Samples a pixel that were drawn.
+    /// Samples drawn per pixel.
     pub drawn: Measured,
-    /// Of them those that count.
+    /// Samples per pixel that count.
     pub counted: Measured,
-    /// Samples a pixel of the tile that has most: all pixels would have them if tiles did not end one by one.
+    /// Samples per pixel of the tile with the most samples. All pixels would need this number if tiles did not end one by one.
     pub longest: Measured,
 }
 
-/// What one shot says.
+/// Statistics of one shot.
 struct Said {
     mean: f64,
     covered: f64,
@@ -175,14 +177,14 @@ struct Said {
 }
 
 impl Verdict {
-    /// Of the shots of many seeds against a reference.
+    /// Compares the shots of many seeds with a reference.
     pub fn of(reference: &Reference, shots: impl Iterator<Item = Shot>) -> Self {
         let (noise, mean) = (reference.noise(), reference.mean_luminance());
         let said: Vec<Said> = shots.map(|shot| say(reference, &shot, noise)).collect();
         let over = |of: fn(&Said) -> f64| Measured::mean(&said.iter().map(of).collect::<Vec<_>>());
         let found = over(|it| it.mean);
         let (relmse, claimed) = (over(|it| it.relmse), over(|it| it.claimed));
-        // Of a ratio of means: the errors of true and claimed are taken together, seed by seed.
+        // This is a ratio of means, so the errors of true and claimed relmse are combined seed by seed.
         let ratio = relmse.value / claimed.value;
         let residuals: Vec<f64> = said.iter().map(|it| (it.relmse - ratio * it.claimed) / claimed.value).collect();
         Self {

@@ -1,4 +1,4 @@
-//! Irradiance at points of a scene's surfaces, without what comes straight from light sources: by paths, and by the first pass.
+//! Irradiance at points of a scene's surfaces without direct light of light sources, from paths and from the first pass.
 
 use femc_film::Filter;
 use femc_geometry::{Ray, offset_origin};
@@ -18,25 +18,25 @@ use std::sync::atomic::AtomicBool;
 
 use crate::rng::Rng;
 
-/// A point and what arrives there.
+/// A point of a surface and its irradiance.
 #[derive(Clone, Copy, Debug)]
 pub struct Point {
     /// Position, prepared frame, m.
     pub position: Vec3A,
     /// Unit normal.
     pub normal: Vec3A,
-    /// Irradiance by luminance, lx, and its standard error.
+    /// Luminance-weighted irradiance, lx, and its standard error.
     pub irradiance: [f64; 2],
 }
 
-/// Points are looked for again from so far above, as a share of the scene's size.
+/// Height above the surface from which a point is searched again, as a fraction of the scene's size.
 const ABOVE: f32 = 1e-4;
 
 fn prepared(scene: &Arc<Scene>) -> Result<Prepared, femc_pipeline::PrepareError> {
     prepare(&Source::new(scene.clone()), &Settings::default(), 1, None)
 }
 
-/// Points spread over all surfaces by area, with what paths bring there: `samples` directions each.
+/// Draws points spread over all surfaces by area, and estimates their irradiance with paths in `samples` directions each.
 /// - errors: the scene cannot be prepared.
 pub fn points(scene: &Arc<Scene>, count: usize, samples: u32) -> Result<Vec<Point>, femc_pipeline::PrepareError> {
     let world = prepared(scene)?;
@@ -88,13 +88,13 @@ pub fn points(scene: &Arc<Scene>, count: usize, samples: u32) -> Result<Vec<Poin
     Ok(found?.into_iter().flatten().collect())
 }
 
-/// Irradiance at a point by paths, without lamps that are seen from there, and its standard error.
+/// Estimates the irradiance at a point with paths, without lamps visible from there. Returns it with its standard error.
 fn gathered(world: &mut Prepared, position: Vec3A, error: Vec3A, normal: Vec3A, seed: u64, samples: u32) -> [f64; 2] {
     let mut rng = Rng::new(seed);
     let mut number = || (rng.bits() >> 40) as f32 / (1u64 << 24) as f32;
     let (mut sum, mut squares) = (0.0, 0.0);
     for sample in 0..samples {
-        // Uniform on a sphere that touches the point: by the cosine.
+        // Uniform on a sphere that touches the point, which gives cosine-weighted directions.
         let dir = (warp::direction(1.0 - 2.0 * number(), number()) + normal).normalize_or(normal);
         let origin = offset_origin(position, error, normal, dir).as_dvec3();
         let up = if dir.z.abs() > 0.9 { DVec3::X } else { DVec3::Z };
@@ -128,7 +128,7 @@ impl PixelFilter for Box {
     }
 }
 
-/// The surface at a point, as a ray from above finds it.
+/// Finds the surface at a point with a ray from above.
 fn find(world: &Prepared, position: Vec3A, normal: Vec3A) -> Option<(femc_geometry::Hit, Side)> {
     let above = ABOVE * world.world.bounds().size().length();
     let ray = Ray { origin: position + normal * above, dir: -normal, t_max: 2.0 * above, time: 0.5 };
@@ -138,17 +138,17 @@ fn find(world: &Prepared, position: Vec3A, normal: Vec3A) -> Option<(femc_geomet
     Some((hit, side))
 }
 
-/// What the first pass makes of the same points.
+/// Comparison of the first pass with paths at the points.
 #[derive(Clone, Copy, Debug)]
 pub struct Compared {
-    /// Mean over the points of the squared difference, less the paths' own variance, over the irradiance's square and that of a tenth of
-    /// its mean.
+    /// Mean relative squared error over the points, minus the variance of the paths. The denominator is the squared irradiance plus
+    /// the square of a tenth of the mean.
     pub relmse: f64,
-    /// The same over the points that have a tenth of the mean or more, which no leaf that is partly hidden rules.
+    /// Like `relmse`, over the points with at least a tenth of the mean. Partly hidden leaves do not dominate there.
     pub lit: f64,
     /// Ratio of the means.
     pub mean_ratio: f64,
-    /// Points that are found on a surface.
+    /// Number of points that were found on a surface.
     pub points: usize,
 }
 
@@ -176,7 +176,7 @@ pub fn compare(
     Ok(Compared { relmse, lit, mean_ratio: sums[0] / sums[1], points: count[0] as usize })
 }
 
-/// Points as lines of eight numbers: position, normal, irradiance, its standard error; `None` if a line has others.
+/// Reads points from lines of eight numbers: position, normal, irradiance, its standard error. Returns `None` if a line differs.
 pub fn read(text: &str) -> Option<Vec<Point>> {
     let lines = text.lines().filter(|line| !line.starts_with('#'));
     lines

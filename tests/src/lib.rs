@@ -1,4 +1,4 @@
-//! Helpers of the tests that need the whole engine: scenes from text, images, statistics.
+//! Helpers for tests that need the whole engine: scenes from text, images, statistics.
 
 pub mod agreement;
 pub mod brute;
@@ -22,25 +22,25 @@ use femc_scene::Scene;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// A scene from the text of one file.
+/// Creates a scene from the text of one file.
 pub fn scene(text: &str) -> Arc<Scene> {
     scene_of(&[("test.mgf", text)])
 }
 
-/// A scene from several files; the first is the scene itself.
+/// Creates a scene from several files. The first file is the scene itself.
 ///
 /// # Panics
-/// When the text is not a scene: tests only.
+/// If the text is not a scene; this is for tests only.
 pub fn scene_of(files: &[(&str, &str)]) -> Arc<Scene> {
     let contents = files.iter().map(|(name, text)| (name.to_string(), text.as_bytes().to_vec())).collect();
     let loaded = load(&Bundle(contents), files[0].0).unwrap_or_else(|error| panic!("{error}"));
     Arc::new(loaded.scene)
 }
 
-/// Renders one frame in this process, by tiles.
+/// Renders one frame in this process, tile by tile.
 ///
 /// # Panics
-/// When the plan or the preparation fails: tests only.
+/// If the plan or the preparation fails; this is for tests only.
 pub fn render(scene: &Arc<Scene>, settings: &Settings, frame: u32) -> FrameImage {
     let plan = plan(scene, settings, Some(&[frame])).unwrap_or_else(|error| panic!("{error}"));
     let prepared =

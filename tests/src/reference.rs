@@ -1,4 +1,4 @@
-//! Reference images of two independent halves, and how an image is held against one.
+//! Reference images in two independent halves, and comparisons of images with them.
 
 use femc_film::exr::read;
 use femc_film::{FrameImage, Image};
@@ -6,18 +6,18 @@ use femc_scene::Scene;
 use femc_stats::testing::{sidak, z_test};
 use std::path::{Path, PathBuf};
 
-/// What keeps black pixels from counting for everything: relmse is the mean of (x - r)^2 / (r^2 + 0.01).
+/// Term that limits the weight of black pixels: relmse is the mean of (x - r)^2 / (r^2 + 0.01).
 const DARK: f64 = 0.01;
 
-/// Rooms with references by brute force.
+/// Rooms with brute-force references.
 pub const ROOMS: [&str; 3] = ["box", "glossy", "fog"];
 
-/// The folder of [`ROOMS`].
+/// Returns the folder of [`ROOMS`].
 pub fn rooms() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("references")
 }
 
-/// BLAKE3 digest of a scene's files, one after the other.
+/// Computes the BLAKE3 digest of a scene's concatenated files.
 /// - `folder`: of the scene.
 ///
 /// # Panics
@@ -27,49 +27,49 @@ pub fn digest(folder: &Path, scene: &Scene) -> blake3::Hash {
     blake3::hash(&scene.files.iter().flat_map(text).collect::<Vec<u8>>())
 }
 
-/// Two independent images of the same scene, whose difference tells their noise.
+/// Two independent images of one scene. Their difference gives their noise.
 pub struct Reference {
     halves: [Image; 2],
 }
 
-/// What one number of an image and of its reference differ by, and the variance of that.
+/// Difference between a number of an image and of its reference, with its variance.
 #[derive(Clone, Copy, Default)]
 struct Difference {
     difference: f64,
     variance: f64,
 }
 
-/// An image beside a reference.
+/// Comparison of an image with a reference.
 #[derive(Debug)]
 pub struct Comparison {
-    /// Sum of all channels over the reference's.
+    /// Sum of all channels, over that of the reference.
     pub mean_ratio: f64,
-    /// Of the image, the reference's own noise included.
+    /// Relmse of the image, including the noise of the reference.
     pub relmse: f64,
-    /// Of the reference alone.
+    /// Relmse of the reference alone.
     pub reference_noise: f64,
-    /// The largest distance of a block's mean from the reference's, of any channel, in standard errors of both.
+    /// Largest distance between block means of image and reference, over all channels, in standard errors of both.
     pub worst_z: f64,
-    /// Top left pixel of that block.
+    /// Top left pixel of the block with the largest distance.
     pub worst_block: (usize, usize),
-    /// Distance of the mean luminance from the reference's, in standard errors of both.
+    /// Distance between the mean luminances of image and reference, in standard errors of both.
     pub luminance_z: f64,
-    /// Block means and mean luminance: numbers that were compared.
+    /// Number of compared values: block means and mean luminance.
     tests: usize,
 }
 
 impl Reference {
-    /// Width and height, pixels.
+    /// Returns width and height in pixels.
     pub fn size(&self) -> [u32; 2] {
         [self.halves[0].width, self.halves[0].height]
     }
 
-    /// Of independent images of one size.
+    /// Creates a reference from two independent images of one size.
     pub fn new(halves: [Image; 2]) -> Self {
         Self { halves }
     }
 
-    /// `<name>_A.exr` and `<name>_B.exr` of a folder.
+    /// Reads `<name>_A.exr` and `<name>_B.exr` from a folder.
     ///
     /// # Panics
     /// If they cannot be read.
@@ -79,28 +79,28 @@ impl Reference {
         Self::new(["A", "B"].map(half))
     }
 
-    /// Luminance of pixel number `at`, cd/m2.
+    /// Returns the luminance of pixel number `at`, cd/m2.
     pub fn pixel_luminance(&self, at: usize) -> f64 {
         self.estimate(|image| f64::from(image.luminance(at))).0
     }
 
-    /// Mean of the halves and its variance.
+    /// Returns the mean of the halves and its variance.
     fn estimate(&self, value: impl Fn(&Image) -> f64) -> (f64, f64) {
         let [a, b] = [0, 1].map(|half| value(&self.halves[half]));
         (0.5 * (a + b), 0.25 * (a - b) * (a - b))
     }
 
-    /// Relmse of the mean of the halves.
+    /// Returns the relmse of the mean of the halves.
     pub fn noise(&self) -> f64 {
         self.mean_of_channels(|mean, variance, _, _| variance / (mean * mean + DARK))
     }
 
-    /// Mean of all numbers of the mean of the halves.
+    /// Returns the mean over all pixels and channels of the mean of the halves.
     pub fn mean(&self) -> f64 {
         self.mean_of_channels(|mean, _, _, _| mean)
     }
 
-    /// Mean of a function of the reference's mean and variance at a pixel and a channel.
+    /// Averages a function of the reference's mean and variance over all pixels and channels.
     fn mean_of_channels(&self, value: impl Fn(f64, f64, usize, usize) -> f64) -> f64 {
         let pixels = self.halves[0].pixels.len();
         let all = (0..3 * pixels).map(|index| {
@@ -129,7 +129,7 @@ impl Reference {
         }
     }
 
-    /// Sums over each block's pixels, channel by channel.
+    /// Sums the differences over each block's pixels, for each channel.
     fn blocks(&self, image: &FrameImage, block: usize) -> Vec<[Difference; 3]> {
         let (width, height) = (image.color.width as usize, image.color.height as usize);
         let columns = width.div_ceil(block);
@@ -144,7 +144,7 @@ impl Reference {
         blocks
     }
 
-    /// The sum of all pixels' luminances.
+    /// Sums the differences of all pixels' luminances.
     fn luminance(&self, image: &FrameImage) -> Difference {
         let mut sum = Difference::default();
         for at in 0..image.color.pixels.len() {
@@ -154,12 +154,12 @@ impl Reference {
         sum
     }
 
-    /// Mean luminance of all pixels, cd/m2, and its variance.
+    /// Returns the mean luminance of all pixels, cd/m2, and its variance.
     pub fn mean_luminance(&self) -> (f64, f64) {
         self.block_luminance(0..self.halves[0].pixels.len())
     }
 
-    /// Mean luminance of these pixels, cd/m2, and its variance.
+    /// Returns the mean luminance of these pixels, cd/m2, and its variance.
     pub fn block_luminance(&self, pixels: impl Iterator<Item = usize>) -> (f64, f64) {
         let (mut sum, mut variance, mut count) = (0.0, 0.0, 0.0);
         for at in pixels {
@@ -169,28 +169,28 @@ impl Reference {
         (sum / count, variance / (count * count))
     }
 
-    /// The relmse that an image claims of itself, with the reference in the denominator.
+    /// Returns the relmse that an image claims, with the reference in the denominator.
     pub fn claimed(&self, image: &FrameImage) -> f64 {
         self.mean_of_channels(|mean, _, at, c| f64::from(image.variance[at][c]) / (mean * mean + DARK))
     }
 }
 
 impl Difference {
-    /// Of a value and an independent expected one, each with its variance.
+    /// Adds a value and an independent expected value, each with its variance.
     fn add(&mut self, found: (f64, f64), expected: (f64, f64)) {
         self.difference += found.0 - expected.0;
         self.variance += found.1 + expected.1;
     }
 
-    /// In standard errors; 0 of nothing, NaN of what is not a number.
+    /// Returns the difference in standard errors: 0 if there is no difference, NaN if a value is not a number.
     fn z(&self) -> f64 {
         if self.difference == 0.0 { 0.0 } else { self.difference.abs() / self.variance.sqrt() }
     }
 }
 
 impl Comparison {
-    /// Whether all block means and the mean luminance are the reference's, by a two-sided z test of each; `level` is the chance of
-    /// a false alarm among all of them.
+    /// Checks that all block means and the mean luminance agree with the reference, with a two-sided z test of each. `level` is the
+    /// probability of a false alarm over all of them.
     pub fn agrees(&self, level: f64) -> bool {
         let p = [self.worst_z, self.luminance_z].map(|z| z_test(z, 1.0, 0.0));
         p.iter().all(|p| *p >= sidak(level, self.tests))

@@ -1,14 +1,14 @@
-/// A small generator (SplitMix64), so that a finding is its seed.
+/// A small random number generator (SplitMix64). A seed reproduces a finding.
 #[derive(Debug, Clone)]
 pub struct Rng(u64);
 
 impl Rng {
-    /// Of this seed.
+    /// Creates a generator with this seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    /// The next 64 bits.
+    /// Returns the next 64 bits.
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -17,23 +17,23 @@ impl Rng {
         z ^ (z >> 31)
     }
 
-    /// In `0..n`; 0 for an empty range.
+    /// Draws a number in `0..n`; 0 for an empty range.
     pub fn below(&mut self, n: usize) -> usize {
         (self.bits() % n.max(1) as u64) as usize
     }
 
-    /// One of them.
-    /// - panics: if there is none.
+    /// Draws an item.
+    /// - panics: if there are no items.
     pub fn pick<'a, T>(&mut self, all: &'a [T]) -> &'a T {
         &all[self.below(all.len())]
     }
 
-    /// Once in so many times.
+    /// Returns true with probability 1 / `n`.
     pub fn once_in(&mut self, n: usize) -> bool {
         self.below(n) == 0
     }
 
-    /// Small, large, and where things overflow.
+    /// Draws a small number, a large one, or one where arithmetic overflows.
     pub fn number(&mut self) -> u64 {
         match self.below(5) {
             0 => self.below(8) as u64,

@@ -1,22 +1,22 @@
-//! Scene text from parts, for tests that put many small scenes together.
+//! Builds scene text from parts, for tests with many small scenes.
 
-/// A camera of 8 x 8 pixels.
+/// Returns a camera of 8 x 8 pixels.
 pub fn camera(origin: &str, target: &str, fov: f64) -> String {
     format!("camera main =\n origin {origin}\n target {target}\n up .1 .2 .9\n fov {fov}\n film 8 8\n")
 }
 
-/// A material of these lines, in gray.
+/// Returns a gray material of these lines.
 pub fn material(name: &str, lines: &[&str]) -> String {
     format!("m {name} =\n c\n {}\n", lines.join("\n "))
 }
 
-/// A quadrilateral of a material; its front is where the corners go around against the clock.
+/// Returns a quadrilateral of a material. Its front is the side where the corners run counterclockwise.
 pub fn quad(material: &str, corners: [&str; 4]) -> String {
     let [a, b, c, d] = corners;
     format!("v qa =\n p {a}\nv qb =\n p {b}\nv qc =\n p {c}\nv qd =\n p {d}\nm {material}\nf qa qb qc qd\n")
 }
 
-/// A closed box of a material, normals outward.
+/// Returns a closed box of a material with outward normals.
 pub fn block(material: &str, [x0, y0, z0]: [f64; 3], [x1, y1, z1]: [f64; 3]) -> String {
     let corners = quad(
         material,
@@ -30,7 +30,7 @@ pub fn block(material: &str, [x0, y0, z0]: [f64; 3], [x1, y1, z1]: [f64; 3]) -> 
     corners.replace("\nf qa qb qc qd\n", &format!("\nprism qa qb qc qd {}\n", z1 - z0))
 }
 
-/// A level rectangle around (`x`, `y`) at height `z`, `half` to each side, front upward.
+/// Returns a horizontal square around (`x`, `y`) at height `z`, which extends `half` to each side and faces up.
 pub fn level(material: &str, [x, y, z]: [f64; 3], half: f64) -> String {
     let corner = |dx: f64, dy: f64| format!("{} {} {z}", x + dx * half, y + dy * half);
     let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];

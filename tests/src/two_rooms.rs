@@ -1,12 +1,13 @@
-//! Two rooms that an opening joins, a lamp in one of them.
+//! Two rooms connected by an opening, with a lamp in one of them.
 
 use crate::closed_forms::CAMERA;
 use std::fmt::Write as _;
 
-/// Where the wall between them is, m along x; the lamp is before it.
+/// Position of the wall between the rooms, m along x. The lamp is in front of it.
 pub const WALL: f64 = 4.0;
 
-/// Rooms of 4 x 4 x 3 m. The opening of 0.5 x 0.5 m, 2 m from the middle of the far room, fills 1 % of the hemisphere there.
+/// Returns rooms of 4 x 4 x 3 m. The opening of 0.5 x 0.5 m, 2 m from the center of the far room, fills 1 % of the hemisphere
+/// there.
 pub fn two_rooms() -> String {
     let mut text = String::from(CAMERA);
     text.push_str("m wall =\n  rd 0.6\n");
@@ -37,7 +38,7 @@ pub fn two_rooms() -> String {
     face(&mut text, across(WALL, [0.0, y[0]], z));
     face(&mut text, across(WALL, [y[1], 4.0], z));
     text.push_str("m lamp =\n  sides 1\n  ed 1000\n");
-    // It shines down beside the opening.
+    // The lamp shines down beside the opening.
     face(&mut text, [[0.7, 0.7, 2.98], [0.7, 1.3, 2.98], [1.3, 1.3, 2.98], [1.3, 0.7, 2.98]]);
     text
 }

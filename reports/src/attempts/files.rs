@@ -1,10 +1,10 @@
-//! Rows as text: CSV, and a table for people.
+//! Formats rows as text: as CSV, and as a table for people.
 
 use crate::human;
 use femc_service::attempts::{Cell, Column, Kind, Reader};
 use std::borrow::Cow;
 
-/// Lines of fields with commas between, the names first; a gap is an empty field.
+/// Formats rows as CSV with a header line. A gap becomes an empty field.
 pub fn csv<R>(columns: &[Column<R>], rows: &[R]) -> String {
     let names: Vec<Cow<'_, str>> = columns.iter().map(|column| column.name.into()).collect();
     let mut text = names.join(",");
@@ -25,7 +25,7 @@ pub fn csv<R>(columns: &[Column<R>], rows: &[R]) -> String {
     text
 }
 
-/// A field in quotes where it needs them (RFC 4180).
+/// Quotes a field if needed (RFC 4180).
 fn quoted(field: &str) -> Cow<'_, str> {
     if field.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", field.replace('"', "\"\"")).into()
@@ -34,7 +34,7 @@ fn quoted(field: &str) -> Cow<'_, str> {
     }
 }
 
-/// What people read of it: the columns' titles, and each row's cells in words.
+/// Formats rows for people: returns the columns' titles, and the text of each row's cells.
 pub fn shown<R>(columns: &[Column<R>], rows: &[R]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let shown: Vec<&Column<R>> = columns.iter().filter(|column| is_shown(column, rows)).collect();
     let cells = |row: &R| shown.iter().map(|column| cell(column.kind, &(column.of)(row))).collect();
@@ -49,7 +49,7 @@ fn is_shown<R>(column: &Column<R>, rows: &[R]) -> bool {
     }
 }
 
-/// A table.
+/// Formats rows as a table for people.
 pub fn human<R>(columns: &[Column<R>], rows: &[R]) -> String {
     let (titles, cells) = shown(columns, rows);
     human::table(&titles, &cells)

@@ -1,17 +1,17 @@
-//! What a farm recorded of a job, as a sweep keeps it in its folder.
+//! Record that a farm keeps of a job, as a file in a sweep's folder.
 
 use crate::ReportError;
 use femc_service::attempts::JobRecord;
 use std::fs;
 use std::path::Path;
 
-/// As `path`, whole or not at all.
+/// Writes a record to `path` atomically.
 pub fn write(record: &JobRecord, path: &Path) -> Result<(), ReportError> {
     let text = serde_json::to_vec(record)?;
     Ok(femc_film::file::write_atomic(path, &text)?)
 }
 
-/// All that were written into `folder`, the earliest run first.
+/// Reads all records in `folder`, sorted by run, earliest first.
 pub fn read_all(folder: &Path) -> Result<Vec<JobRecord>, ReportError> {
     let entries = fs::read_dir(folder).map_err(ReportError::file(folder))?;
     let mut all = Vec::new();

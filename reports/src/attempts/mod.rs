@@ -1,4 +1,4 @@
-//! What jobs' attempts took, as files for other programs and tables for people.
+//! Costs of jobs' attempts, as files for other programs and tables for people.
 
 mod files;
 mod job_record;

@@ -1,4 +1,4 @@
-//! Rows as Apache Parquet: a file that data frames open as they are.
+//! Writes rows as Apache Parquet, which data frame libraries open directly.
 
 use crate::ReportError;
 use femc_service::attempts::{Cell, Column, Kind};
@@ -13,10 +13,10 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Rows that are in memory as columns at a time.
+/// Number of rows that are held in memory as columns.
 const GROUP: usize = 1 << 16;
 
-/// Write `path`, whole or not at all.
+/// Writes `path` atomically.
 pub fn write<R>(path: &Path, columns: &[Column<R>], rows: &[R]) -> Result<(), ReportError> {
     let at = ReportError::file(path);
     let unwritten = |cause| ReportError::Parquet { path: path.to_owned(), cause };
@@ -26,7 +26,7 @@ pub fn write<R>(path: &Path, columns: &[Column<R>], rows: &[R]) -> Result<(), Re
         .and_then(|file| put(file, columns, rows).map_err(unwritten))
         .and_then(|()| fs::rename(&new, path).map_err(&at));
     if written.is_err() {
-        // What stays would be in nobody's way.
+        // A leftover file does no harm.
         let _ = fs::remove_file(&new);
     }
     written
@@ -63,7 +63,7 @@ fn schema<R>(columns: &[Column<R>]) -> Result<TypePtr, ParquetError> {
 
 fn put_column<R>(out: &mut SerializedColumnWriter<'_>, column: &Column<R>, rows: &[R]) -> Result<(), ParquetError> {
     let cells: Vec<Cell> = rows.iter().map(column.of).collect();
-    // 0: a gap, for which there is no value.
+    // 0 marks a gap, which has no value.
     let levels: Vec<i16> = cells.iter().map(|cell| i16::from(*cell != Cell::Gap)).collect();
     let levels = Some(levels.as_slice());
     match column.kind {

@@ -1,30 +1,30 @@
-//! The methods that can be measured.
+//! Methods that can be measured.
 
 use femc_pipeline::Stop;
 
-/// A way to render a frame, and what its budgets are.
+/// A rendering method and the kind of its budgets.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Method {
-    /// As it is typed.
+    /// Name on the command line.
     pub name: &'static str,
-    /// One line.
+    /// Description in one line.
     pub about: &'static str,
-    /// How light is computed.
+    /// Light transport method.
     pub light: femc_pipeline::Method,
-    /// What it is given to end by.
+    /// Kind of budget that ends a frame.
     pub budget: Budget,
 }
 
-/// What a frame ends by.
+/// Kind of budget that ends a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Budget {
-    /// Samples of every pixel (`--spp`).
+    /// Samples per pixel (`--spp`).
     Spp,
     /// Relative error of every block (`--error`).
     Error,
 }
 
-/// All of them: a new one is a line here.
+/// All methods. Add a line for a new one.
 #[rustfmt::skip]
 pub const METHODS: [Method; 4] = [
     Method { name: "pt", about: "path tracing, as many samples for every pixel", light: femc_pipeline::Method::Pt, budget: Budget::Spp },
@@ -34,8 +34,8 @@ pub const METHODS: [Method; 4] = [
 ];
 
 impl Method {
-    /// The method of a name.
-    /// - errors: there is none; says which there are.
+    /// Returns the method of a name.
+    /// - errors: the name is unknown. The message lists the known names.
     pub fn named(name: &str) -> Result<&'static Self, String> {
         METHODS.iter().find(|method| method.name == name).ok_or_else(|| {
             let names: Vec<&str> = METHODS.iter().map(|method| method.name).collect();
@@ -43,16 +43,16 @@ impl Method {
         })
     }
 
-    /// When a frame of this budget is done.
+    /// Returns the stop criterion for a budget.
     pub fn stop(&self, budget: f64) -> Stop {
         match self.budget {
-            // Budgets of this kind are typed as whole numbers.
+            // Budgets of this kind are whole numbers.
             Budget::Spp => Stop::Spp(budget as u32),
             Budget::Error => Stop::Error(budget),
         }
     }
 
-    /// `16 spp`, `error 0.5`.
+    /// Formats a budget: `16 spp`, `error 0.5`.
     pub fn shown(&self, budget: f64) -> String {
         match self.budget {
             Budget::Spp => format!("{budget} spp"),

@@ -1,4 +1,4 @@
-//! Run time against error: what `femc bench` measures, keeps and says of it.
+//! Run time against error: measurements, files and output of `femc bench`.
 
 pub mod method;
 pub mod record;

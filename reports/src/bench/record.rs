@@ -1,4 +1,4 @@
-//! Measurements and the file that keeps them.
+//! Measurements, and the file that stores them.
 
 use super::method::Method;
 use super::setup::{Difference, SceneSetup, Setup};
@@ -6,69 +6,69 @@ use crate::ReportError;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Of the form of the file.
+/// Version of the file format.
 const VERSION: u32 = 1;
 
 /// All measurements of one setup.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
-    /// Version of this form.
+    /// Version of the file format.
     femc_bench: u32,
-    /// On what was measured.
+    /// Machine and program of the measurements.
     pub setup: Setup,
-    /// What was rendered.
+    /// Scenes that were rendered.
     pub scenes: Vec<SceneSetup>,
-    /// One frame each.
+    /// Runs, one frame each.
     pub runs: Vec<Run>,
 }
 
-/// One frame rendered, timed, and held against its reference.
+/// A rendered frame with its duration and its errors against the reference.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
     /// Name of the scene.
     pub scene: String,
     /// Name of the method.
     pub method: String,
-    /// Its budget: samples a pixel or relative error.
+    /// Budget of the method: samples per pixel or relative error.
     pub budget: f64,
-    /// Seed.
+    /// Seed of the random numbers.
     pub seed: u64,
     /// Wall time of the first pass and of the rendering, s.
     pub seconds: f64,
-    /// Of these the first pass, which was solved once for all runs of its method; 0: the method has none.
+    /// Wall time of the first pass alone, which was solved once for all runs of its method; 0: the method has none.
     #[serde(default)]
     pub first_pass_seconds: f64,
-    /// Processor time of the same, all threads, s.
+    /// Processor time of the first pass and of the rendering over all threads, s.
     pub cpu_seconds: f64,
-    /// Samples drawn, of all pixels.
+    /// Samples drawn in all pixels.
     pub samples: u64,
-    /// The same a pixel.
+    /// Samples drawn per pixel.
     pub spp: f64,
     /// Rays traced.
     pub rays: u64,
-    /// Against the reference, whose noise is in it, (cd/m2)^2.
+    /// Mean squared error against the reference, including the reference's noise, (cd/m2)^2.
     pub mse: f64,
-    /// The same, relative.
+    /// Relative mean squared error against the reference, including the reference's noise.
     pub relmse: f64,
     /// Mean HDR-FLIP.
     pub flip: f64,
     /// Largest relative error of a block of pixels, see [`worst_block`](super::worst::worst_block).
     pub worst: f64,
-    /// Pixels that were left out because they are not finite, in the image or in the reference.
+    /// Pixels that are left out because they are not finite in the image or in the reference.
     pub left_out: u64,
 }
 
 impl Run {
-    /// Whether it is this one.
+    /// Checks whether the run has this scene, method and budget.
     pub fn is_of(&self, scene: &str, method: &Method, budget: f64) -> bool {
-        // What was written as text may come back off by a bit.
+        // A budget that was written as text may be off by a bit.
         self.scene == scene && self.method == method.name && (self.budget - budget).abs() <= 1e-9 * budget
     }
 }
 
 impl Record {
-    /// Of this setup, with the measurements of the file `path` if it is there.
-    /// - errors: the file is of another setup, and what differs.
+    /// Creates a record of this setup, with the measurements of the file `path` if it exists.
+    /// - errors: the file has another setup. The message lists the differences.
     pub fn open(path: Option<&Path>, setup: Setup, scenes: Vec<SceneSetup>) -> Result<Self, ReportError> {
         let new = Self { femc_bench: VERSION, setup, scenes, runs: Vec::new() };
         let Some(path) = path.filter(|path| path.exists()) else { return Ok(new) };
@@ -99,7 +99,7 @@ impl Record {
         Ok(self)
     }
 
-    /// The measurement of this scene, method, budget and seed.
+    /// Returns the measurement of this scene, method, budget and seed.
     pub fn run(&self, scene: &str, method: &Method, budget: f64, seed: u64) -> Option<&Run> {
         self.runs.iter().find(|run| run.seed == seed && run.is_of(scene, method, budget))
     }

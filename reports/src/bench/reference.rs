@@ -1,4 +1,4 @@
-//! What images are held against, and how far that itself is from the truth.
+//! Reference images and their own noise.
 
 use crate::ReportError;
 use femc_film::{Image, exr};
@@ -6,10 +6,10 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// A reference as typed: a file, or two independent halves with a comma between.
+/// A reference as given on the command line: a file, or two independent halves separated by a comma.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Named {
-    /// `REF.exr`; `REF_A.exr` and `REF_B.exr` are its halves if they stand beside it.
+    /// `REF.exr`; `REF_A.exr` and `REF_B.exr` beside it are its halves, if they exist.
     File(PathBuf),
     /// `A.exr,B.exr`.
     Halves([PathBuf; 2]),
@@ -20,22 +20,22 @@ pub enum Named {
 pub struct Reference {
     /// The image.
     pub image: Image,
-    /// Its own noise; `None`: there are no halves to tell it.
+    /// Noise of the reference; `None`: unknown, because there are no halves.
     pub noise: Option<Noise>,
 }
 
 /// Squared error of a reference, estimated from its halves.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Noise {
-    /// Share of the reference in a mse against it, (cd/m2)^2.
+    /// Contribution of the reference to a mse against it, (cd/m2)^2.
     pub mse: f64,
-    /// Share of the reference in a relmse against it.
+    /// Contribution of the reference to a relmse against it.
     pub relmse: f64,
 }
 
-/// What keeps the relative error finite where the reference is black, (cd/m2)^2: as in [`femc_film::metrics`].
+/// Term that keeps the relative error finite where the reference is black, (cd/m2)^2: as in [`femc_film::metrics`].
 const RELATIVE_FLOOR: f64 = 0.01;
-/// Relmse between a reference and the mean of its halves, as a share of its noise, up to which they are the same but for rounding.
+/// Largest relmse between a reference and the mean of its halves that counts as rounding, as a fraction of the reference's noise.
 const ROUNDING: f64 = 1e-3;
 
 impl FromStr for Named {
@@ -61,7 +61,7 @@ impl std::fmt::Display for Named {
 }
 
 impl Named {
-    /// Read it and what stands beside it.
+    /// Reads the reference, and its halves if they exist.
     pub fn read(&self) -> Result<Reference, ReportError> {
         match self {
             Self::Halves(halves) => self.of_halves(halves),
@@ -104,7 +104,7 @@ impl Named {
     }
 }
 
-/// `REF_A.exr` of `REF.exr`.
+/// Returns the path `REF_A.exr` for `REF.exr`.
 fn beside(file: &Path, half: &str) -> PathBuf {
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     file.with_file_name(format!("{stem}_{half}.exr"))
@@ -123,8 +123,8 @@ fn mean(a: &Image, b: &Image) -> Image {
 }
 
 impl Noise {
-    /// Of the mean of two independent halves: a squared half difference is an unbiased estimate of the mean's variance. Pixels that are
-    /// not finite are left out, as comparisons do.
+    /// Estimates the noise of the mean of two independent halves: a squared half difference is an unbiased estimate of the mean's
+    /// variance. Pixels that are not finite are left out, as in comparisons.
     fn of(a: &Image, b: &Image) -> Self {
         let (mut mse, mut relmse, mut count) = (0.0, 0.0, 0_u64);
         for (a, b) in a.pixels.iter().zip(&b.pixels) {
@@ -147,7 +147,7 @@ impl Noise {
 mod tests {
     use super::*;
 
-    /// Numbers from -0.5 to 0.5, of a mean of 0 and a variance of 1/12, by a congruential generator.
+    /// Returns a congruential generator of numbers from -0.5 to 0.5, with mean 0 and variance 1/12.
     fn random(seed: u64) -> impl FnMut() -> f64 {
         let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
         move || {
@@ -156,7 +156,7 @@ mod tests {
         }
     }
 
-    /// An image whose truth is 2, with noise of this variance.
+    /// Returns an image with true value 2 and noise of this variance.
     fn noisy(seed: u64, variance: f64) -> Image {
         let mut random = random(seed);
         let mut image = Image::filled(128, 128, [0.0; 3]);

@@ -1,4 +1,4 @@
-//! On what is measured: what must be the same for figures to stand in one table.
+//! Setup of measurements. It must be equal for all figures in one table.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 pub struct Setup {
     /// Name of the processor.
     pub processor: String,
-    /// Cores that this process may use.
+    /// Number of cores that this process may use.
     pub cores: usize,
-    /// Threads that render.
+    /// Number of rendering threads.
     pub threads: usize,
     /// Version of femc.
     pub version: String,
@@ -17,36 +17,36 @@ pub struct Setup {
     pub engine: String,
     /// `release` or `debug`.
     pub profile: String,
-    /// Architecture and instruction sets that the program was compiled for; wider ones that it finds it uses, too.
+    /// Architecture and instruction sets that the program was compiled for. It also uses wider ones that it detects.
     pub instructions: String,
 }
 
-/// A scene, what it is held against, and how it is seen.
+/// A scene with its reference and render settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneSetup {
-    /// Stem of its file.
+    /// Stem of the scene's file name.
     pub name: String,
-    /// Its file, as typed.
+    /// File of the scene, as given.
     pub file: String,
-    /// Digest of what it holds, overrides applied.
+    /// Digest of the scene's content, with overrides applied.
     pub digest: String,
-    /// Frame of its clip.
+    /// Frame number in the scene's clip.
     pub frame: u32,
-    /// Film, pixels.
+    /// Width and height of the film, pixels.
     pub film: [u32; 2],
     /// Render settings, without those that differ from run to run.
     pub settings: serde_json::Value,
-    /// The reference, as typed.
+    /// Reference, as given.
     pub reference: String,
-    /// Digest of its pixels.
+    /// Digest of the reference's pixels.
     pub reference_digest: String,
 }
 
-/// What differs, where something does: name, there, here.
+/// Difference between two setups: name, value there, value here.
 pub type Difference = (&'static str, String, String);
 
 impl Setup {
-    /// Of this program on this machine.
+    /// Describes this program on this machine.
     /// - `engine`: build of the engine.
     pub fn here(threads: usize, engine: &str) -> Self {
         let sets = [
@@ -67,7 +67,7 @@ impl Setup {
         }
     }
 
-    /// Between those of a file and these.
+    /// Lists the differences from the setup of a file.
     pub fn differences(&self, there: &Self) -> Vec<Difference> {
         let all = [
             ("processor", &there.processor, &self.processor),
@@ -84,7 +84,7 @@ impl Setup {
 }
 
 impl SceneSetup {
-    /// Between those of a file and these. Files may have other places.
+    /// Lists the differences from the setup of a file. Paths of files may differ.
     pub fn differences(&self, there: &Self) -> Vec<Difference> {
         let film = |[width, height]: [u32; 2]| format!("{width}x{height}");
         let all = [
@@ -98,7 +98,7 @@ impl SceneSetup {
     }
 }
 
-/// As the system names it.
+/// Returns the system's name of the processor.
 fn processor() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let name = text.lines().find(|line| line.starts_with("model name")).and_then(|line| line.split_once(':'));

@@ -6,27 +6,27 @@ use serde::Serialize;
 /// A mean over seeds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
-    /// The mean.
+    /// Mean value.
     pub mean: f64,
-    /// Half width of its 95 % interval by Student's distribution; `None`: of a single value.
+    /// Half width of the 95 % interval by Student's distribution; `None` for a single value.
     pub half_width: Option<f64>,
 }
 
 impl Estimate {
-    /// Of independent values, at least one.
+    /// Computes the mean of one or more independent values.
     pub fn of(values: &[f64]) -> Self {
         let (mean, variance) = mean_and_variance(values);
         let half_width = variance.map(|it| student_95(values.len() as f64 - 1.0) * it.sqrt());
         Self { mean, half_width }
     }
 
-    /// The same of values less by a constant.
+    /// Subtracts a constant from the mean.
     pub fn less(self, constant: f64) -> Self {
         Self { mean: self.mean - constant, ..self }
     }
 }
 
-/// The mean, and the variance of the mean.
+/// Computes the mean, and the variance of the mean.
 fn mean_and_variance(values: &[f64]) -> (f64, Option<f64>) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -34,7 +34,7 @@ fn mean_and_variance(values: &[f64]) -> (f64, Option<f64>) {
     (mean, (values.len() > 1).then(|| squares / (n - 1.0) / n))
 }
 
-/// The middle value; of an even number of them the mean of the middle two.
+/// Computes the median: the middle value, or the mean of the two middle values.
 pub fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -44,27 +44,27 @@ pub fn median(values: &[f64]) -> f64 {
     }
 }
 
-/// A positive number by its logarithm, which has an error: for products, ratios and geometric means.
+/// A positive number, stored as its logarithm with an error. For products, ratios and geometric means.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Factor {
     /// Natural logarithm.
     log: f64,
-    /// Variance of the logarithm, and the degrees of freedom that it is known with; `None`: not known.
+    /// Variance of the logarithm, with its degrees of freedom; `None`: unknown.
     spread: Option<(f64, f64)>,
 }
 
 /// A positive number with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interval {
-    /// The number.
+    /// Value of the number.
     pub value: f64,
-    /// Both ends; `None`: not known.
+    /// Lower and upper end; `None`: unknown.
     pub interval: Option<[f64; 2]>,
 }
 
 impl Factor {
-    /// 1 / (mean of `errors` x mean of `seconds`), the two of each seed taken together, as far as small relative deviations add up.
-    /// `None`: a mean is not positive.
+    /// Computes 1 / (mean of `errors` x mean of `seconds`). The error combines both values of each seed, and treats small relative
+    /// deviations as additive. `None`: a mean is not positive.
     pub fn efficiency(errors: &[f64], seconds: &[f64]) -> Option<Self> {
         let ((error, _), (time, _)) = (mean_and_variance(errors), mean_and_variance(seconds));
         if !(error > 0.0 && time > 0.0) {
@@ -76,12 +76,12 @@ impl Factor {
         Some(Self { log: -(error * time).ln(), spread })
     }
 
-    /// Over another, independent one.
+    /// Divides by another, independent number.
     pub fn over(self, other: Self) -> Self {
         Self { log: self.log - other.log, spread: summed(&[self, other]) }
     }
 
-    /// The geometric mean of independent ones; `None`: of nothing.
+    /// Computes the geometric mean of independent numbers; `None`: the list is empty.
     pub fn geometric_mean(factors: &[Self]) -> Option<Self> {
         let n = factors.len() as f64;
         let log = factors.iter().map(|it| it.log).sum::<f64>() / n;
@@ -89,7 +89,7 @@ impl Factor {
         (!factors.is_empty()).then_some(Self { log, spread })
     }
 
-    /// The geometric mean of some that may depend on each other: its interval is what it would be if they did in full.
+    /// Computes the geometric mean of numbers that may depend on each other. The interval assumes full dependence.
     pub fn mean_of_dependent(factors: &[Self]) -> Option<Self> {
         let n = factors.len() as f64;
         let log = factors.iter().map(|it| it.log).sum::<f64>() / n;
@@ -101,8 +101,8 @@ impl Factor {
         (!factors.is_empty()).then_some(Self { log, spread })
     }
 
-    /// What it is at an error, between points (error, factor), on straight lines between logarithms of both. `None`: the error is outside
-    /// of the measured range.
+    /// Interpolates between points (error, factor) at an error, linearly in the logarithms of both. `None`: the error is outside
+    /// the measured range.
     pub fn interpolated(points: &[(f64, Self)], error: f64) -> Option<Self> {
         let mut sorted: Vec<(f64, Self)> = points.to_vec();
         sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -115,7 +115,7 @@ impl Factor {
         Some(below.power(1.0 - share).times(above.power(share)))
     }
 
-    /// One over it.
+    /// Computes the reciprocal.
     pub fn inverse(self) -> Self {
         self.power(-1.0)
     }
@@ -129,7 +129,7 @@ impl Factor {
         Self { log: self.log + other.log, spread: summed(&[self, other]) }
     }
 
-    /// The number and its interval.
+    /// Returns the number and its interval.
     pub fn interval(self) -> Interval {
         let ends = |(variance, freedom): (f64, f64)| {
             let half = student_95(freedom) * variance.sqrt();
@@ -139,7 +139,7 @@ impl Factor {
     }
 }
 
-/// The variance of a sum, and its degrees of freedom by Satterthwaite's rule.
+/// Computes the variance of a sum, and its degrees of freedom by Satterthwaite's rule.
 fn summed(factors: &[Factor]) -> Option<(f64, f64)> {
     let spreads: Vec<(f64, f64)> = factors.iter().map(|it| it.spread).collect::<Option<_>>()?;
     let variance: f64 = spreads.iter().map(|it| it.0).sum();
@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn the_interval_of_a_mean_is_students() {
-        // Mean 3, standard deviation sqrt(2.5); 2.776 of the table for 4 degrees of freedom.
+        // Mean 3, standard deviation sqrt(2.5); 2.776 from the table for 4 degrees of freedom.
         let Estimate { mean, half_width } = Estimate::of(&[1.0, 2.0, 3.0, 4.0, 5.0]);
         assert!(mean == 3.0 && is_near(half_width.expect("an interval"), 2.776 * (2.5f64 / 5.0).sqrt()));
         let two = Estimate::of(&[1.0, 3.0]);
@@ -168,7 +168,7 @@ mod tests {
 
     #[test]
     fn what_lies_between_budgets_is_on_a_line_in_logarithms_and_beyond_them_nothing_is_known() {
-        // Efficiency is error^-0.5: time is error^-0.5, too.
+        // Efficiency is error^-0.5, so time is error^-0.5, too.
         let factor = |error: f64| Factor { log: -0.5 * error.ln(), spread: Some((0.04, 4.0)) };
         let points = [0.1, 0.001, 0.01].map(|error| (error, factor(error)));
         for error in [0.1, 0.03, 0.01, 0.0025, 0.001] {
@@ -202,7 +202,7 @@ mod tests {
         let one = Factor { log: 8f64.ln(), spread: Some((0.04, 4.0)) };
         let other = Factor { log: 2f64.ln(), spread: Some((0.04, 4.0)) };
         let ratio = one.over(other).interval();
-        // 2.306 of the table for 8 degrees of freedom.
+        // 2.306 from the table for 8 degrees of freedom.
         assert!(is_near(ratio.value, 4.0));
         assert!(is_near(ratio.interval.expect("an interval")[1], 4.0 * (2.306 * 0.08f64.sqrt()).exp()));
         let mean = Factor::geometric_mean(&[one, other]).expect("a mean").interval();

@@ -1,4 +1,4 @@
-//! What measurements say together: means over seeds, efficiencies, ratios between methods.
+//! Summary of measurements: means over seeds, efficiencies, ratios between methods.
 
 use super::method::Method;
 use super::record::{Record, Run};
@@ -6,27 +6,27 @@ use super::reference::Noise;
 use super::statistics::{Estimate, Factor, Interval, median};
 use serde::Serialize;
 
-/// All of it.
+/// Summary of all measurements.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
-    /// Seeds of every mean.
+    /// Seeds behind each mean.
     pub seeds: Vec<u64>,
-    /// Scene by scene.
+    /// Summary of each scene.
     pub scenes: Vec<SceneSummary>,
-    /// Over scenes, method by method.
+    /// Summary of each method over all scenes.
     pub methods: Vec<MethodSummary>,
 }
 
-/// Of one scene.
+/// Summary of one scene.
 #[derive(Clone, Debug, Serialize)]
 pub struct SceneSummary {
-    /// Its name.
+    /// Name of the scene.
     pub scene: String,
-    /// What was taken off mse and relmse; `None`: nothing, the noise of the reference is not known.
+    /// Noise that is subtracted from mse and relmse; `None`: nothing is subtracted, because the noise of the reference is unknown.
     pub reference_noise: Option<Noise>,
-    /// Methods and budgets.
+    /// Results by method and budget.
     pub points: Vec<Point>,
-    /// Methods.
+    /// Results by method.
     pub methods: Vec<SceneMethod>,
 }
 
@@ -35,50 +35,50 @@ pub struct SceneSummary {
 pub struct Point {
     /// Name of the method.
     pub method: &'static str,
-    /// Its budget: samples a pixel or relative error.
+    /// Budget of the method: samples per pixel or relative error.
     pub budget: f64,
-    /// Samples a pixel that were drawn.
+    /// Samples drawn per pixel.
     pub spp: f64,
-    /// Rays.
+    /// Number of rays.
     pub rays: f64,
     /// Wall time, s.
     pub seconds: Estimate,
-    /// The middle one, s.
+    /// Median wall time, s.
     pub seconds_median: f64,
     /// Processor time, s.
     pub cpu_seconds: Estimate,
-    /// Less the reference's noise, (cd/m2)^2.
+    /// Mean squared error minus the reference's noise, (cd/m2)^2.
     pub mse: Estimate,
-    /// Less the reference's noise.
+    /// Relative mean squared error minus the reference's noise.
     pub relmse: Estimate,
-    /// Share of the reference's noise in the relmse that was measured.
+    /// Fraction of the measured relmse that is noise of the reference.
     pub noise_share: Option<f64>,
-    /// With the reference's noise in it.
+    /// Mean HDR-FLIP, including the reference's noise.
     pub flip: Estimate,
-    /// Relative error of the worst block, with the reference's noise in it.
+    /// Relative error of the worst block, including the reference's noise.
     pub worst: Estimate,
-    /// 1 / (relmse x s); `None`: no error is left when the reference's noise is taken off.
+    /// 1 / (relmse x s); `None`: no error is left after subtracting the reference's noise.
     pub efficiency: Option<Interval>,
-    /// Wall time over what the first method needs to the same relmse; `None`: of the first one, or outside of its measured range.
+    /// Wall time over the first method's time for the same relmse; `None`: for the first method, and outside of its measured range.
     pub time_ratio: Option<Interval>,
-    /// The same to the same worst block.
+    /// Wall time over the first method's time for the same worst block.
     pub worst_time_ratio: Option<Interval>,
     #[serde(skip)]
     factors: [Option<Factor>; 2],
 }
 
-/// A method in a scene: geometric means over its budgets; ratios over those in the first method's measured range.
+/// A method in a scene: geometric means over its budgets. Ratios use only budgets in the first method's measured range.
 #[derive(Clone, Debug, Serialize)]
 pub struct SceneMethod {
-    /// Its name.
+    /// Name of the method.
     pub method: &'static str,
     /// 1 / (relmse x s).
     pub efficiency: Option<Interval>,
-    /// Its efficiency over the first method's at the same relmse.
+    /// Efficiency over the first method's at the same relmse.
     pub efficiency_ratio: Option<Interval>,
-    /// One over that: time over the first method's to the same relmse.
+    /// Time over the first method's for the same relmse, the reciprocal of `efficiency_ratio`.
     pub time_ratio: Option<Interval>,
-    /// Time over the first method's to the same worst block.
+    /// Time over the first method's for the same worst block.
     pub worst_time_ratio: Option<Interval>,
     #[serde(skip)]
     ratios: [Option<Factor>; 2],
@@ -87,15 +87,15 @@ pub struct SceneMethod {
 /// A method: geometric means over scenes.
 #[derive(Clone, Debug, Serialize)]
 pub struct MethodSummary {
-    /// Its name.
+    /// Name of the method.
     pub method: &'static str,
-    /// Scenes in which the ratio is known.
+    /// Number of scenes in which the ratio is known.
     pub scenes: usize,
-    /// Its efficiency over the first method's at the same relmse.
+    /// Efficiency over the first method's at the same relmse.
     pub efficiency_ratio: Option<Interval>,
-    /// One over that: time over the first method's to the same relmse.
+    /// Time over the first method's for the same relmse, the reciprocal of `efficiency_ratio`.
     pub time_ratio: Option<Interval>,
-    /// Time over the first method's to the same worst block.
+    /// Time over the first method's for the same worst block.
     pub worst_time_ratio: Option<Interval>,
 }
 
@@ -103,7 +103,7 @@ pub struct MethodSummary {
 pub type Ladder = (&'static Method, Vec<f64>);
 
 impl Summary {
-    /// Of what is measured of these.
+    /// Summarizes the measurements of these scenes, ladders and seeds.
     /// - `scenes`: names, and the noise of their references where it is known.
     pub fn of(record: &Record, scenes: &[(&str, Option<Noise>)], ladders: &[Ladder], seeds: &[u64]) -> Self {
         let scenes: Vec<SceneSummary> = scenes
@@ -165,13 +165,13 @@ impl SceneSummary {
     }
 }
 
-/// Time over time, of an efficiency over an efficiency.
+/// Converts a ratio of efficiencies to a ratio of times.
 fn time(ratio: Option<Factor>) -> Option<Interval> {
     ratio.map(|ratio| ratio.inverse().interval())
 }
 
 impl Point {
-    /// The errors that methods are compared at, each as something that falls as one over the time.
+    /// Returns the errors at which methods are compared. Both are inversely proportional to the time.
     fn scales(&self) -> [f64; 2] {
         [self.relmse.mean, self.worst.mean * self.worst.mean]
     }
@@ -227,7 +227,7 @@ mod tests {
     use super::super::method::METHODS;
     use super::*;
 
-    /// A run whose own relmse is this.
+    /// Returns a run whose relmse without noise is `relmse`.
     fn run(method: &Method, budget: f64, seconds: f64, relmse: f64) -> Run {
         Run {
             scene: "box".to_owned(),
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn a_method_that_needs_half_the_time_is_twice_as_efficient_and_the_references_noise_has_no_say() {
         let [pt, other] = [&METHODS[0], &METHODS[1]];
-        // relmse x s: 2 of the first method, 1 of the other, which goes beyond the range of the first.
+        // relmse x s is 2 for the first method and 1 for the other, which exceeds the range of the first.
         let runs: Vec<Run> =
             [(pt, 1.0, 1.0, 2.0), (pt, 4.0, 4.0, 0.5), (other, 0.5, 1.0, 1.0), (other, 0.2, 4.0, 0.25)]
                 .into_iter()

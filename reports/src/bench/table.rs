@@ -1,4 +1,4 @@
-//! Figures as text, the same on a terminal and on a page.
+//! Figures as text, equal on a terminal and on a page.
 
 use super::method::Method;
 use super::setup::Setup;
@@ -6,13 +6,13 @@ use super::statistics::{Estimate, Interval};
 use super::summary::{MethodSummary, Point, SceneSummary, Summary};
 use crate::human::{count, percent, quantity};
 
-/// Titles and rows.
+/// Titles and rows of a table.
 pub type Table = (Vec<&'static str>, Vec<Vec<String>>);
 
-/// Share of the reference's noise in an error from which on little of it is the image's own.
+/// Fraction of reference noise in an error above which the image's own error is uncertain.
 const NOISY: f64 = 0.5;
 
-/// What it was measured with.
+/// Returns the setup of the measurements as names and values.
 pub fn facts(setup: &Setup, summary: &Summary) -> [(&'static str, String); 4] {
     let seeds = match summary.seeds[..] {
         [first, .., last] => format!("{first} to {last}"),
@@ -28,7 +28,7 @@ pub fn facts(setup: &Setup, summary: &Summary) -> [(&'static str, String); 4] {
     ]
 }
 
-/// A scene's methods and budgets.
+/// Returns the table of a scene's methods and budgets.
 pub fn points(scene: &SceneSummary) -> Table {
     let titles = vec![
         "method",
@@ -68,7 +68,7 @@ fn row(point: &Point, first: &str) -> Vec<String> {
     ]
 }
 
-/// What has to be known of a scene's figures.
+/// Returns notes that a reader of a scene's figures must know.
 pub fn notes(scene: &SceneSummary) -> Vec<String> {
     let mut notes = Vec::new();
     match scene.reference_noise {
@@ -89,7 +89,7 @@ pub fn notes(scene: &SceneSummary) -> Vec<String> {
     notes
 }
 
-/// Methods beside the first one; no rows where there is no other.
+/// Returns the table that compares methods with the first one. It is empty if there is no other method.
 pub fn methods(summary: &Summary) -> Table {
     let titles = vec!["method", "scenes", "efficiency at equal relmse", "time at equal relmse", "at equal worst block"];
     let row = |method: &MethodSummary| {
@@ -104,7 +104,7 @@ pub fn methods(summary: &Summary) -> Table {
     (titles, summary.methods.iter().skip(1).map(row).collect())
 }
 
-/// `0.0123 ±4 %`.
+/// Formats an estimate: `0.0123 ±4 %`.
 pub fn estimate(it: Estimate) -> String {
     let relative = it.half_width.map(|half| half / it.mean).filter(|it| it.is_finite() && *it >= 0.0);
     match relative {
@@ -113,7 +113,7 @@ pub fn estimate(it: Estimate) -> String {
     }
 }
 
-/// `12.5 (11.8 to 13.3)`.
+/// Formats an interval: `12.5 (11.8 to 13.3)`.
 fn interval(it: Interval) -> String {
     match it.interval {
         Some([low, high]) => format!("{} ({} to {})", digits(it.value), digits(low), digits(high)),
@@ -121,12 +121,12 @@ fn interval(it: Interval) -> String {
     }
 }
 
-/// Of a number at equal error.
+/// Formats a ratio at equal error.
 fn ratio(it: Option<Interval>) -> String {
     it.map_or_else(|| "outside the measured range".to_owned(), interval)
 }
 
-/// Three digits that count.
+/// Formats a number with three significant digits.
 pub fn digits(value: f64) -> String {
     let size = value.abs();
     if size >= 1e4 {
@@ -137,7 +137,7 @@ pub fn digits(value: f64) -> String {
     }
     let decimals = if size > 0.0 { (2 - size.log10().floor() as i32).clamp(0, 5) as usize } else { 0 };
     let text = format!("{value:.decimals$}");
-    // 4.00 of a number of samples is 4.
+    // A sample count of 4.00 becomes 4.
     if text.contains('.') && value.fract() == 0.0 { format!("{value:.0}") } else { text }
 }
 

@@ -1,10 +1,11 @@
-//! The block that is most wrong.
+//! Finds the block with the largest error.
 
 use femc_film::convergence::{BLOCK, FLOOR};
 use femc_film::{Image, Rect};
 
-/// The largest relative error of the mean luminance of a block of 16x16 pixels, blocks as a frame's `--error` has them: relative to the
-/// reference's mean there, or to a share of that of the whole where it is darker. The reference's noise is in it. 0: nothing is lit.
+/// Returns the largest relative error of the mean luminance of a block of 16x16 pixels, the blocks of `--error`. It is relative to
+/// the reference's mean in the block, or to a fraction of the whole image's mean where the block is darker. The reference's noise
+/// is included. 0: nothing is lit.
 /// - `image`, `reference`: of one size.
 pub fn worst_block(image: &Image, reference: &Image) -> f64 {
     let (width, height) = (reference.width, reference.height);
@@ -38,7 +39,7 @@ mod tests {
         assert!((worst_block(&image, &reference) - 0.2).abs() < 1e-6);
         let mut dark = reference.clone();
         (0..640).filter(|at| at % 40 >= 32).for_each(|at| dark.pixels[at] = [0.0; 3]);
-        // 1 % of the frame's mean of 0.8 is the scale of the dark block.
+        // The scale of the dark block is 1 % of the frame's mean of 0.8.
         let off = worst_block(&reference, &dark);
         assert!((off - 1.0 / 0.008).abs() < 1e-3, "{off}");
         let black = Image::filled(16, 16, [0.0; 3]);

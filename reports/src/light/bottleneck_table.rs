@@ -1,4 +1,4 @@
-//! The tables of `femc bottlenecks`.
+//! Tables of `femc bottlenecks`.
 
 use super::bottlenecks::{FireflyRow, LampRow, Row};
 use crate::attempts::{Cell, Column, Kind, Reader, column};
@@ -33,23 +33,23 @@ fn material() -> Column<Row> {
     column("material", "material", Text, Anybody, |row| row.material.clone().into())
 }
 
-/// By object, material and interaction.
+/// Returns the columns by object, material and interaction.
 pub fn parts() -> Vec<Column<Row>> {
     let interaction = column("interaction", "interaction", Text, Anybody, |row: &Row| word(row.interaction));
     [vec![object(), material(), interaction], shares()].concat()
 }
 
-/// By object.
+/// Returns the columns by object.
 pub fn objects() -> Vec<Column<Row>> {
     [vec![object()], shares()].concat()
 }
 
-/// By material.
+/// Returns the columns by material.
 pub fn materials() -> Vec<Column<Row>> {
     [vec![material()], shares()].concat()
 }
 
-/// By lamp.
+/// Returns the columns by lamp.
 pub fn lamps() -> Vec<Column<LampRow>> {
     vec![
         column("lamp", "lamp", Text, Anybody, |row| row.lamp.clone().into()),
@@ -60,7 +60,7 @@ pub fn lamps() -> Vec<Column<LampRow>> {
     ]
 }
 
-/// Samples.
+/// Returns the columns of fireflies.
 pub fn fireflies() -> Vec<Column<FireflyRow>> {
     vec![
         column("file", "file", Text, Programs, |row| Cell::Text(row.file.clone())),

@@ -1,4 +1,4 @@
-//! What is found, with names in place of keys.
+//! Bottlenecks of light transport, with names in place of keys.
 
 use super::files::read;
 use crate::ReportError;
@@ -9,16 +9,16 @@ use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// What comes first.
+/// Sort key of the rows, greatest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// The most noise.
+    /// Noise.
     Noise,
-    /// The most light.
+    /// Light.
     Light,
-    /// The most intersections.
+    /// Number of intersections.
     Work,
-    /// The most throughput after 8 intersections.
+    /// Throughput after 8 intersections.
     Deep,
 }
 
@@ -33,127 +33,127 @@ impl Order {
     }
 }
 
-/// The whole.
+/// Report of `femc bottlenecks`.
 #[derive(Debug, Serialize)]
 pub struct Report {
     /// Files that were read.
     pub files: Vec<String>,
-    /// Samples of the frames.
+    /// Number of samples of the frames.
     pub samples: u64,
-    /// The share of them whose paths have 8 intersections or more.
+    /// Fraction of samples whose paths have 8 intersections or more.
     pub deep_samples: f64,
-    /// What stands out.
+    /// Most important bottlenecks.
     pub findings: Vec<Finding>,
-    /// By object, material and interaction.
+    /// Rows by object, material and interaction.
     pub parts: Vec<Row>,
-    /// By object.
+    /// Rows by object.
     pub objects: Vec<Row>,
-    /// By material.
+    /// Rows by material.
     pub materials: Vec<Row>,
-    /// By lamp.
+    /// Rows by lamp.
     pub lamps: Vec<LampRow>,
-    /// The samples that add most to the noise.
+    /// Samples that add the most noise.
     pub fireflies: Vec<FireflyRow>,
 }
 
-/// A part and its shares.
+/// A part of the scene with its fractions of the totals.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// Dotted name; none: the camera, fog, or something without a name.
+    /// Dotted name; none: the camera, fog, or an object without a name.
     pub object: Option<String>,
     /// Name of the material or the medium.
     pub material: Option<String>,
-    /// How paths went on.
+    /// Interaction with which paths continued.
     pub interaction: Option<&'static str>,
-    /// Of the noise.
+    /// Fraction of the noise.
     pub noise: f64,
-    /// Of the light.
+    /// Fraction of the light.
     pub light: f64,
-    /// Of the intersections.
+    /// Fraction of the intersections.
     pub work: f64,
-    /// Of the throughput that arrives after 8 intersections.
+    /// Fraction of the throughput after 8 intersections.
     pub deep: f64,
-    /// Paths that begin there, of all that are recorded and begin anywhere.
+    /// Fraction of the recorded paths that begin there.
     pub begun: f64,
-    /// Their mean depth; none: there are none.
+    /// Mean depth of the paths that begin there; none: there are no such paths.
     pub depth: Option<f64>,
-    /// Mean throughput that is left to them at the 8th intersection.
+    /// Mean throughput of the paths that begin there at the 8th intersection.
     pub left: Option<f64>,
-    /// Mean depth of the others.
+    /// Mean depth of all other paths.
     pub depth_of_others: f64,
-    /// What is left to the others.
+    /// Mean throughput of all other paths at the 8th intersection.
     pub left_of_others: f64,
-    /// Recorded intersections.
+    /// Number of recorded intersections.
     pub records: u64,
 }
 
-/// A lamp and its shares.
+/// A lamp with its fractions of the totals.
 #[derive(Clone, Debug, Serialize)]
 pub struct LampRow {
-    /// The object that holds it, and what emits; none: a first pass.
+    /// Object that contains the lamp, and its emitter; none: a first pass.
     pub lamp: Option<String>,
-    /// Of the noise.
+    /// Fraction of the noise.
     pub noise: f64,
-    /// Of the light.
+    /// Fraction of the light.
     pub light: f64,
-    /// Of the times that it was looked for, those with something in between.
+    /// Fraction of `records` in which an object hid the lamp.
     pub hidden: f64,
-    /// Times that recorded paths have looked for it, or met it.
+    /// Number of times that recorded paths sampled or hit the lamp.
     pub records: u64,
 }
 
-/// A sample.
+/// A sample that adds much noise.
 #[derive(Clone, Debug, Serialize)]
 pub struct FireflyRow {
-    /// File.
+    /// File of the sample's frame.
     pub file: String,
-    /// Column of its pixel.
+    /// Column of the pixel.
     pub x: u32,
-    /// Row of its pixel.
+    /// Row of the pixel.
     pub y: u32,
-    /// Its number.
+    /// Number of the sample in the pixel.
     pub sample: u32,
-    /// cd/m2.
+    /// Luminance of the sample, cd/m2.
     pub luminance: f64,
     /// Mean of the pixel's other samples, cd/m2.
     pub others: f64,
-    /// Of the noise of all.
+    /// Fraction of the total noise.
     pub noise: f64,
-    /// What has scattered most of its light.
+    /// Object that scattered most of the sample's light.
     pub object: Option<String>,
-    /// See above.
+    /// Material that scattered most of the sample's light.
     pub material: Option<String>,
-    /// See above.
+    /// Interaction that scattered most of the sample's light.
     pub interaction: Option<&'static str>,
-    /// The lamp.
+    /// Lamp of that light.
     pub lamp: Option<String>,
-    /// How it was found.
+    /// Technique that found that light.
     pub found: &'static str,
 }
 
-/// Something that stands out.
+/// A bottleneck.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "what", rename_all = "lowercase")]
 pub enum Finding {
-    /// It adds the most noise.
+    /// The object that adds the most noise.
     Noise(Row),
-    /// It keeps paths bright and long.
+    /// The object that keeps paths bright and long.
     Deep(Row),
-    /// Most of the work is done there.
+    /// The object with the most intersections.
     Work(Row),
-    /// Its light adds the most noise.
+    /// The lamp whose light adds the most noise.
     Lamp(LampRow),
-    /// It adds the most noise of a sample.
+    /// The sample that adds the most noise.
     Firefly(FireflyRow),
 }
 
-/// Samples that are listed.
+/// Number of samples that are listed.
 const FIREFLIES: usize = 1000;
-/// A part is a finding if the mean throughput that is left to the paths that begin there is so many times that of the other paths.
+/// Ratio of mean throughputs above which a part is reported: that of paths that begin there over that of other paths.
 const MORE: f64 = 2.0;
 
 impl Report {
-    /// Of files.
+    /// Reads files and finds their bottlenecks.
     pub fn read(files: &[PathBuf], order: Order) -> Result<Self, ReportError> {
         let mut all: [Bottlenecks; 3] = Default::default();
         let (mut names, mut films) = (Vec::new(), Vec::new());
@@ -167,7 +167,7 @@ impl Report {
         Ok(Self::of(&all, names, &films, order))
     }
 
-    /// Of frames that were read.
+    /// Finds the bottlenecks of frames in memory.
     pub fn of_frames(frames: &[(PathBuf, Statistics)]) -> Self {
         let mut all: [Bottlenecks; 3] = Default::default();
         frames.iter().for_each(|(_, statistics)| add(&mut all, statistics));
@@ -228,7 +228,7 @@ impl Report {
     }
 }
 
-/// What is found of files that are read one after the other.
+/// Returns the results that are grouped by `by`.
 fn found(all: &[Bottlenecks; 3], by: By) -> &Bottlenecks {
     &all[by as usize]
 }
@@ -267,7 +267,7 @@ fn row(all: &Bottlenecks, part: Part, evidence: &Evidence) -> Row {
     }
 }
 
-/// The object that is first by something, with the part of it that is.
+/// Returns the object with the greatest value of `of`, with the material and interaction of its greatest part.
 fn first(all: &[Bottlenecks; 3], of: impl Fn(&Bottlenecks, &Evidence) -> f64) -> Option<Row> {
     let (objects, parts) = (found(all, By::Object), found(all, By::Part));
     let ranked = objects.ranked(|it| of(objects, it));
@@ -289,7 +289,7 @@ fn findings(all: &[Bottlenecks; 3], lamps: &[LampRow], fireflies: &[FireflyRow])
     findings
 }
 
-/// `ball (chrome, reflection)`.
+/// Formats a part: `ball (chrome, reflection)`.
 fn spelled(object: Option<&str>, material: Option<&str>, interaction: Option<&str>) -> String {
     let within: Vec<&str> = [material, interaction].into_iter().flatten().collect();
     let object = object.unwrap_or(if within.is_empty() { "the camera" } else { "-" });

@@ -1,19 +1,19 @@
-//! Files of light statistics: of a frame, or of several that are united.
+//! Files of light statistics: of one frame, or of several merged frames.
 
 use crate::ReportError;
 use femc_pipeline::paths::{Frames, Statistics};
 use std::path::{Path, PathBuf};
 
-/// What is asked as one: a frame, or frames that are united.
+/// Input of a query: one frame, or merged frames.
 #[derive(Debug)]
 pub struct Unit {
-    /// The file; of a union all of them.
+    /// Name of the file; for a union, its first and last file.
     pub file: String,
-    /// In order of seed and number; not empty.
+    /// Frames in the order of seed and number; not empty.
     pub frames: Vec<Statistics>,
 }
 
-/// The statistics in a file.
+/// Reads the statistics in a file.
 pub fn read(file: &Path) -> Result<Unit, ReportError> {
     let bytes = std::fs::read(file).map_err(ReportError::named(file))?;
     let frames = if Frames::is_meant(&bytes) {
@@ -28,7 +28,7 @@ pub fn read(file: &Path) -> Result<Unit, ReportError> {
     Ok(Unit { file: file.display().to_string(), frames })
 }
 
-/// The files, and of folders the files in them by their names.
+/// Reads files, and all files in folders, sorted by name.
 pub fn units(paths: &[PathBuf]) -> Result<Vec<Unit>, ReportError> {
     let mut units = Vec::new();
     for path in paths {
@@ -53,7 +53,7 @@ pub fn units(paths: &[PathBuf]) -> Result<Vec<Unit>, ReportError> {
     Ok(units)
 }
 
-/// The frames of all files as one.
+/// Merges the frames of all files.
 pub fn united(units: Vec<Unit>) -> Result<Unit, ReportError> {
     let mut frames = Frames::default();
     let file = match &units[..] {
@@ -63,7 +63,7 @@ pub fn united(units: Vec<Unit>) -> Result<Unit, ReportError> {
     };
     let all = units.iter().flat_map(|unit| unit.frames.iter().cloned());
     if frames.unite(all).is_err() {
-        // Which of them does not fit.
+        // Find the file that does not fit.
         let mut fitting = Frames::default();
         for unit in units {
             fitting.unite(unit.frames).map_err(|cause| ReportError::Union { file: unit.file, cause })?;
@@ -72,7 +72,7 @@ pub fn united(units: Vec<Unit>) -> Result<Unit, ReportError> {
     Ok(Unit { file, frames: frames.into_frames() })
 }
 
-/// Writes a union; recorded paths and bytes of the file.
+/// Writes a union. Returns the number of recorded paths and the bytes of the file.
 pub fn write(out: &Path, unit: &Unit) -> Result<(usize, usize), ReportError> {
     let frames = Frames::of(unit.frames.iter().cloned());
     let frames = frames.map_err(|cause| ReportError::NoUnion { file: unit.file.clone(), cause })?;

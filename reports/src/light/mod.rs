@@ -1,4 +1,4 @@
-//! Light statistics of frames, as `femc render --stats` writes them: files, what stands out, tables of paths.
+//! Light statistics of frames, as `femc render --stats` writes them: files, bottlenecks, tables of paths.
 
 pub mod bottleneck_table;
 mod bottlenecks;

@@ -1,4 +1,4 @@
-//! The tables of `femc paths`: rows and columns.
+//! Rows and columns of the tables of `femc paths`.
 
 use super::files::Unit;
 use crate::attempts::{Cell, Column, Kind, Reader, column};
@@ -10,25 +10,25 @@ use femc_pipeline::paths::statistics::IMAGE_BITS;
 use femc_pipeline::paths::{Intersection, Light, Name, Path, Scope, Statistics};
 use std::collections::BTreeSet;
 
-/// A path that is asked for.
+/// A path that matches a query.
 pub struct Match<'a> {
-    /// Its place in the file.
+    /// Position of the path in the file.
     pub number: u32,
-    /// The record.
+    /// Record of the path.
     pub path: &'a Path,
-    /// Places of its intersections that are as asked for.
+    /// Positions of the intersections that match the query.
     pub places: BTreeSet<usize>,
-    /// What it counts among those that stand for all.
+    /// Weight of the path among the representative paths.
     pub weight: Option<f64>,
 }
 
-/// A file, and what is found in it.
+/// A file with the results of a query.
 pub struct Frame<'a> {
-    /// Its name.
+    /// Name of the file.
     pub file: &'a str,
-    /// All of it.
+    /// All statistics of the file.
     pub all: &'a Statistics,
-    /// The paths that are asked for.
+    /// Paths that match the query.
     pub found: Vec<Match<'a>>,
 }
 
@@ -38,7 +38,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// A path, or something of it.
+/// A path with an item of it.
 pub struct Of<'a, T> {
     file: &'a str,
     all: &'a Statistics,
@@ -62,7 +62,7 @@ impl<T> Of<'_, T> {
     }
 }
 
-/// Pixels, of units of a part of the image.
+/// Converts units of a part of the image to pixels.
 fn part(units: u64) -> f64 {
     units as f64 / (1u64 << IMAGE_BITS) as f64
 }
@@ -82,10 +82,10 @@ fn word(text: &str) -> Cell {
 use Kind::{Count, Number, Text};
 use Reader::{Anybody, Programs, WhoCompares};
 
-/// A path, the first of its intersections that is as asked for, and how many are; its weight.
+/// A path with the number of its matching intersections, the first of them, and the path's weight.
 pub type PathRow<'a> = Of<'a, (usize, Option<&'a Intersection>, Option<f64>)>;
 
-/// The paths that were found.
+/// Returns the rows of matching paths.
 pub fn path_rows<'a>(frame: &'a Frame<'a>) -> Vec<PathRow<'a>> {
     let row = |it: &Match<'a>| {
         let first = it.places.first().map(|place| &it.path.intersections[*place]);
@@ -94,7 +94,7 @@ pub fn path_rows<'a>(frame: &'a Frame<'a>) -> Vec<PathRow<'a>> {
     frame.found.iter().map(row).collect()
 }
 
-/// Columns of paths.
+/// Returns the columns of paths.
 pub fn paths<'a>() -> Vec<Column<PathRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
@@ -123,10 +123,10 @@ pub fn paths<'a>() -> Vec<Column<PathRow<'a>>> {
     ]
 }
 
-/// An intersection, and its place.
+/// An intersection and its position in the path.
 pub type IntersectionRow<'a> = Of<'a, (usize, &'a Intersection)>;
 
-/// The intersections that were asked for.
+/// Returns the rows of matching intersections.
 pub fn intersection_rows<'a>(frame: &'a Frame<'a>) -> Vec<IntersectionRow<'a>> {
     let rows = frame
         .found
@@ -135,7 +135,7 @@ pub fn intersection_rows<'a>(frame: &'a Frame<'a>) -> Vec<IntersectionRow<'a>> {
     rows.collect()
 }
 
-/// Columns of intersections.
+/// Returns the columns of intersections.
 pub fn intersections<'a>() -> Vec<Column<IntersectionRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
@@ -159,15 +159,15 @@ pub fn intersections<'a>() -> Vec<Column<IntersectionRow<'a>>> {
     ]
 }
 
-/// A light.
+/// A light of a path.
 pub type LightRow<'a> = Of<'a, &'a Light>;
 
-/// The lights that the paths have looked for.
+/// Returns the rows of lights that the paths sampled or hit.
 pub fn light_rows<'a>(frame: &'a Frame<'a>) -> Vec<LightRow<'a>> {
     frame.found.iter().flat_map(|it| it.path.lights.iter().map(move |light| frame.of(it, light))).collect()
 }
 
-/// Columns of lights.
+/// Returns the columns of lights.
 pub fn lights<'a>() -> Vec<Column<LightRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
@@ -186,7 +186,7 @@ pub fn lights<'a>() -> Vec<Column<LightRow<'a>>> {
     ]
 }
 
-/// A bin of an attribute.
+/// A bin of an attribute's histogram.
 pub struct BinRow<'a> {
     file: &'a str,
     table: Table,
@@ -197,7 +197,7 @@ pub struct BinRow<'a> {
     image: u64,
 }
 
-/// The bins of all histograms.
+/// Returns the bins of all histograms.
 pub fn bin_rows(unit: &Unit) -> Vec<BinRow<'_>> {
     let (file, mut rows) = (&unit.file[..], Vec::new());
     for table in Table::ALL {
@@ -215,7 +215,7 @@ pub fn bin_rows(unit: &Unit) -> Vec<BinRow<'_>> {
     rows
 }
 
-/// Counts of frames with equal bins added up.
+/// Sums the counts of frames with equal bins.
 fn summed(mut frames: impl Iterator<Item = Vec<Counts>>) -> Vec<Counts> {
     let mut all = frames.next().unwrap_or_default();
     for counts in frames {
@@ -224,7 +224,7 @@ fn summed(mut frames: impl Iterator<Item = Vec<Counts>>) -> Vec<Counts> {
     all
 }
 
-/// Where a bin begins; `None`: it is of words or names, or of what is not there.
+/// Returns the lower end of a bin; `None`: the bin stands for words, names or missing values.
 fn lower(scope: &Scope, name: &str, scale: Scale, bin: u8) -> Option<f64> {
     let axis = || "xyz".find(&name[name.len() - 1..]);
     match scale {
@@ -240,7 +240,7 @@ fn lower(scope: &Scope, name: &str, scale: Scale, bin: u8) -> Option<f64> {
     }
 }
 
-/// Columns of bins.
+/// Returns the columns of bins.
 pub fn histograms<'a>() -> Vec<Column<BinRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
@@ -253,7 +253,7 @@ pub fn histograms<'a>() -> Vec<Column<BinRow<'a>>> {
     ]
 }
 
-/// A bin of two attributes that something is in.
+/// A bin of two attributes that is not empty.
 pub struct PairRow<'a> {
     file: &'a str,
     table: Table,
@@ -263,7 +263,7 @@ pub struct PairRow<'a> {
     image: u64,
 }
 
-/// The bins of all histograms of two attributes.
+/// Returns the non-empty bins of all histograms of two attributes.
 pub fn pair_rows(unit: &Unit) -> Vec<PairRow<'_>> {
     let (file, mut rows) = (&unit.file[..], Vec::new());
     for table in Table::ALL {
@@ -279,7 +279,7 @@ pub fn pair_rows(unit: &Unit) -> Vec<PairRow<'_>> {
     rows
 }
 
-/// Columns of such bins.
+/// Returns the columns of bins of two attributes.
 pub fn pairs<'a>() -> Vec<Column<PairRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
@@ -293,7 +293,7 @@ pub fn pairs<'a>() -> Vec<Column<PairRow<'a>>> {
     ]
 }
 
-/// A voxel of a bounce.
+/// A voxel of one bounce.
 pub struct VoxelRow<'a> {
     file: &'a str,
     bounce: u32,
@@ -302,14 +302,14 @@ pub struct VoxelRow<'a> {
     voxel: Voxel,
 }
 
-/// Halvings of the scene's box.
+/// Number of times that the scene's box is halved.
 pub const LEVELS: u8 = 6;
 
 fn octree(frames: &[Frame<'_>], root: Root) -> Octree {
     Octree::of(root, frames.iter().flat_map(|frame| &frame.found).map(|it| it.path))
 }
 
-/// Of the frames of one file.
+/// Returns the voxels of the frames of one file.
 pub fn voxel_rows<'a>(frames: &[Frame<'a>], root: Root) -> Vec<VoxelRow<'a>> {
     let file = frames.first().map_or("", |frame| frame.file);
     let row = |(&(bounce, code), &voxel): (&(u32, u64), &Voxel)| {
@@ -319,21 +319,21 @@ pub fn voxel_rows<'a>(frames: &[Frame<'a>], root: Root) -> Vec<VoxelRow<'a>> {
     octree(frames, root).leaves.iter().map(row).collect()
 }
 
-/// A voxel of two frames.
+/// Comparison of a voxel between two sets of frames.
 pub struct DifferenceRow {
     lower: [f64; 3],
     width: f64,
     here: Voxel,
     there: Voxel,
-    /// Means here minus there, cd/m2.
+    /// Mean here minus mean there, cd/m2.
     difference: f64,
 }
 
-/// Of all bounces together; the greatest difference first.
+/// Compares voxels over all bounces. The greatest difference comes first.
 pub fn difference_rows(here: &[Frame<'_>], there: &[Frame<'_>], root: Root) -> Vec<DifferenceRow> {
     let [here, there] = [here, there].map(|frames| octree(frames, root));
     let [own, others] = [&here, &there].map(|tree| tree.level(LEVELS, None));
-    // Trees of one root have a difference.
+    // Both trees have the same root, so the difference exists.
     let differences = here.difference(&there, LEVELS, None).unwrap_or_default();
     let row = |(code, difference): (u64, f64)| {
         let (lower, width) = root.voxel(LEVELS, code);
@@ -345,7 +345,7 @@ pub fn difference_rows(here: &[Frame<'_>], there: &[Frame<'_>], root: Root) -> V
     rows
 }
 
-/// Columns of differences between voxels.
+/// Returns the columns of differences between voxels.
 pub fn differences() -> Vec<Column<DifferenceRow>> {
     vec![
         column("x", "from x m", Number, Anybody, |row| Cell::Real(row.lower[0])),
@@ -360,7 +360,7 @@ pub fn differences() -> Vec<Column<DifferenceRow>> {
     ]
 }
 
-/// Columns of voxels.
+/// Returns the columns of voxels.
 pub fn voxels<'a>() -> Vec<Column<VoxelRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
@@ -374,7 +374,7 @@ pub fn voxels<'a>() -> Vec<Column<VoxelRow<'a>>> {
     ]
 }
 
-/// A pixel, and its place.
+/// A pixel and its position.
 pub struct PixelRow<'a> {
     file: &'a str,
     frame: u32,
@@ -382,7 +382,7 @@ pub struct PixelRow<'a> {
     pixel: Pixel,
 }
 
-/// The pixels of a frame.
+/// Returns the pixels of a frame.
 pub fn pixel_rows<'a>(frame: &'a Frame<'a>) -> Vec<PixelRow<'a>> {
     let maps = Maps::of(frame.all);
     let width = maps.film[0].max(1);
@@ -395,7 +395,7 @@ pub fn pixel_rows<'a>(frame: &'a Frame<'a>) -> Vec<PixelRow<'a>> {
     (0..).zip(maps.pixels()).map(row).collect()
 }
 
-/// Columns of pixels.
+/// Returns the columns of pixels.
 pub fn pixels<'a>() -> Vec<Column<PixelRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),

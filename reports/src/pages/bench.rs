@@ -1,4 +1,4 @@
-//! A page about run time against error.
+//! Page about run time against error.
 
 use super::logarithmic::{Chart, Line, Mark, draw};
 use super::page::Page;
@@ -10,7 +10,7 @@ use crate::bench::summary::{Point, SceneSummary, Summary};
 use crate::bench::table;
 use plotters::style::RGBColor;
 
-/// Colors that people who see colors differently can tell apart, too (Okabe and Ito).
+/// Colors that color-blind people can distinguish (Okabe and Ito).
 const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -20,10 +20,10 @@ const COLORS: [RGBColor; 6] = [
     RGBColor(230, 159, 0),
 ];
 
-/// Pixels of the height of a large plot and of a small one.
+/// Height of a large plot and of a small one, pixels.
 const HEIGHTS: [u32; 2] = [440, 290];
 
-/// The file.
+/// Returns the HTML file.
 pub fn page(record: &Record, summary: &Summary) -> Result<String, ReportError> {
     let names: Vec<&str> = summary.scenes.iter().map(|scene| &*scene.scene).collect();
     let mut page = Page::new(&format!("Run time against error: {}", names.join(", ")));
@@ -76,7 +76,7 @@ fn legend(scene: &SceneSummary) -> Vec<(&'static str, RGBColor)> {
     scene.methods.iter().map(|it| it.method).zip(COLORS.into_iter().cycle()).collect()
 }
 
-/// A number of all points against seconds.
+/// Plots a quantity of all points against seconds.
 fn chart(scene: &SceneSummary, name: &'static str, of: fn(&Point) -> Estimate) -> Chart {
     let line = |(method, color): (&'static str, RGBColor)| {
         let mut marks: Vec<Mark> =

@@ -1,11 +1,11 @@
-//! What each frame cost.
+//! Figure of the cost of each frame.
 
 use super::figure::{BLUE, FONT, beyond, figure};
 use crate::ReportError;
 use crate::attempts::Row;
 use plotters::prelude::*;
 
-/// Of frames.
+/// Draws the figure for frames.
 pub fn draw(frames: &[Row]) -> Result<String, ReportError> {
     let number = |row: &Row| row.task.map_or(0, |task| task.stage.frame);
     let (first, last) = (frames.first().map_or(0, number), frames.last().map_or(0, number));

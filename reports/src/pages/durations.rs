@@ -1,4 +1,4 @@
-//! How long tasks take that compute.
+//! Figure of the durations of tasks that compute.
 
 use super::figure::{BLUE, FONT, beyond, figure};
 use crate::ReportError;
@@ -8,7 +8,7 @@ use plotters::prelude::*;
 
 const BINS: usize = 40;
 
-/// Of attempts; nothing where no such task is done.
+/// Draws the figure for attempts; nothing if no such task is done.
 pub fn draw(attempts: &[Row]) -> Result<Vec<String>, ReportError> {
     let is_wanted = |row: &&Row| {
         row.ending == Some(Ending::Done) && row.task.is_some_and(|task| task.stage.kind.row().lane == Lane::Compute)

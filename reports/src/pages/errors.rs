@@ -1,4 +1,4 @@
-//! How the frames' errors fall.
+//! Figure of the decreasing errors of frames.
 
 use super::figure::{BLUE, FONT, beyond, figure, ticks};
 use crate::ReportError;
@@ -7,7 +7,7 @@ use plotters::coord::combinators::BindKeyPoints;
 use plotters::prelude::*;
 use std::collections::BTreeMap;
 
-/// Of attempts; nothing where no error was measured.
+/// Draws the figure for attempts; nothing if no error was measured.
 pub fn draw(attempts: &[Row]) -> Result<Vec<String>, ReportError> {
     let mut frames: BTreeMap<(usize, u32), Vec<(f64, f64)>> = BTreeMap::new();
     for row in attempts {
@@ -43,7 +43,7 @@ pub fn draw(attempts: &[Row]) -> Result<Vec<String>, ReportError> {
     Ok(vec![drawn])
 }
 
-/// Three digits of it.
+/// Formats an error as a percentage with three digits.
 fn percent(error: f64) -> String {
     let percent = error * 100.0;
     let digits = (2 - percent.log10().floor() as i32).clamp(0, 9) as usize;

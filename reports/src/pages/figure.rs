@@ -1,4 +1,4 @@
-//! What all figures share.
+//! Common parts of all figures.
 
 use crate::ReportError;
 use plotters::coord::Shift;
@@ -8,19 +8,19 @@ use std::io;
 
 /// A surface to draw on.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-/// Whether it was drawn.
+/// Result of drawing.
 pub type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
 
-/// Pixels of every figure's width.
+/// Width of every figure, pixels.
 pub const WIDTH: u32 = 1000;
-/// Of words.
+/// Font of labels.
 pub const FONT: (&str, u32) = ("sans-serif", 13);
-/// What is done.
+/// Color of finished work.
 pub const BLUE: RGBColor = RGBColor(46, 109, 164);
-/// Of another kind.
+/// Color of a second kind of work.
 pub const ORANGE: RGBColor = RGBColor(217, 130, 43);
 
-/// An SVG of this height, pixels.
+/// Draws an SVG of this height, pixels.
 pub fn figure(height: u32, draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, ReportError> {
     let mut svg = String::new();
     {
@@ -31,12 +31,12 @@ pub fn figure(height: u32, draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<Stri
     Ok(svg)
 }
 
-/// An upper end of an axis on which `most` is seen.
+/// Returns an upper end for an axis that shows `most`.
 pub fn beyond(most: f64) -> f64 {
     if most > 0.0 { most * 1.03 } else { 1.0 }
 }
 
-/// Round values of a logarithmic axis: 1, 2 and 5 of each decade, or, where these are fewer than three, equal steps.
+/// Returns round values for a logarithmic axis: 1, 2 and 5 of each decade, or equal steps if these are fewer than three.
 pub fn ticks(least: f64, most: f64) -> Vec<f64> {
     const ROUND: [f64; 3] = [1.0, 2.0, 5.0];
     let decade = |value: f64| value.log10().floor() as i32;

@@ -1,4 +1,4 @@
-//! Where the samples went: a picture of tiles for each frame.
+//! Figures of the distribution of samples: a picture of tiles for each frame.
 
 use super::figure::{Area, Drawn, FONT, WIDTH, figure};
 use crate::ReportError;
@@ -7,24 +7,24 @@ use femc_model::Grid;
 use plotters::prelude::*;
 use std::collections::BTreeMap;
 
-/// Most frames that are shown: evenly chosen where there are more.
+/// Most frames that are shown. If there are more, they are chosen evenly.
 const FRAMES: usize = 12;
 const ACROSS: usize = 4;
 
-/// Longest title of a picture, characters.
+/// Longest title of a picture, in characters.
 const TITLE: usize = 38;
 
-/// Samples a pixel of each tile.
+/// Samples per pixel of each tile.
 type Tiles = BTreeMap<u32, f64>;
 
-/// A frame.
+/// Picture of a frame.
 struct Picture {
     title: String,
     grid: Grid,
     tiles: Tiles,
 }
 
-/// Of tasks; nothing where no tile is done.
+/// Draws the figures for tasks; nothing if no tile is done.
 pub fn draw(tasks: &[Row], records: &[JobRecord]) -> Result<Vec<String>, ReportError> {
     let mut frames: BTreeMap<(usize, u32), Tiles> = BTreeMap::new();
     for row in tasks {
@@ -74,7 +74,7 @@ impl Picture {
     }
 }
 
-/// The end of a text that is too long: there it says the most.
+/// Returns the end of a text that is too long, because the end says the most.
 fn shortened(text: &str) -> String {
     let length = text.chars().count();
     if length <= TITLE {
@@ -84,7 +84,7 @@ fn shortened(text: &str) -> String {
     }
 }
 
-/// From dark to light.
+/// Maps a fraction to a color from dark to light.
 fn color(share: f64) -> RGBColor {
     let mix = |from: f64, to: f64| (from + (to - from) * share.clamp(0.0, 1.0)) as u8;
     RGBColor(mix(20.0, 253.0), mix(24.0, 200.0), mix(82.0, 60.0))

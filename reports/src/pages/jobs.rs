@@ -1,4 +1,4 @@
-//! A page about jobs.
+//! Page about jobs.
 
 use super::page::Page;
 use super::{cost, durations, errors, heat, timeline, variants};
@@ -7,16 +7,16 @@ use crate::attempts::{By, JobRecord, Row, rows};
 use femc_model::Ending;
 use std::collections::BTreeSet;
 
-/// All that a report tells.
+/// Content of a report on jobs.
 pub struct Report {
-    /// What it is about; else the jobs say it.
+    /// Title of the page; by default, it is made from the jobs.
     pub title: Option<String>,
-    /// Of each job.
+    /// Record of each job.
     pub records: Vec<JobRecord>,
 }
 
 impl Report {
-    /// The file.
+    /// Returns the HTML file.
     pub fn html(&self) -> Result<String, ReportError> {
         let of = |by| rows(&self.records, by);
         let (attempts, tasks, frames, workers) = (of(By::Attempt), of(By::Task), of(By::Frame), of(By::Worker));

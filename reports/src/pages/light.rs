@@ -1,4 +1,4 @@
-//! A page about light: what is known of the paths of frames, as pictures.
+//! Page about light: pictures of the statistics of frames' paths.
 
 use super::figure::{Area, BLUE, Drawn, FONT, ORANGE, figure};
 use super::page::Page;
@@ -14,18 +14,18 @@ use femc_pipeline::paths::{End, Found, Interaction, Statistics};
 use plotters::prelude::*;
 use std::path::PathBuf;
 
-/// Most files that are shown one by one.
+/// Most files that are shown individually.
 pub const FILES: usize = 24;
-/// Lines of a table.
+/// Number of lines of a table.
 const LINES: usize = 20;
-/// Histograms side by side.
+/// Number of histograms side by side.
 const ACROSS: usize = 4;
-/// Height of one, pixels.
+/// Height of a histogram, pixels.
 const HEIGHT: u32 = 150;
 /// Widest picture, pixels.
 const WIDEST: u32 = 1024;
 
-/// The page about the light of frames.
+/// Returns the HTML file about the light of frames.
 pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<String, ReportError> {
     let names: Vec<String> = frames.iter().map(|(path, _)| path.display().to_string()).collect();
     let mut page = Page::new(&format!("Light of {}", shortened(&names)));
@@ -70,7 +70,7 @@ fn shortened(names: &[String]) -> String {
     }
 }
 
-/// A map, and how its numbers become colors.
+/// A map of the film with its color scale.
 struct Map {
     title: String,
     film: [u32; 2],
@@ -119,7 +119,7 @@ impl Map {
     }
 }
 
-/// From dark blue by red to light yellow; lightness grows with the share.
+/// Maps a fraction to a color from dark blue through red to light yellow. Lightness increases with the fraction.
 fn color(share: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 5] =
         [[8.0, 8.0, 30.0], [75.0, 20.0, 110.0], [185.0, 50.0, 85.0], [245.0, 135.0, 40.0], [252.0, 250.0, 190.0]];
@@ -132,7 +132,8 @@ fn color(share: f64) -> [u8; 3] {
     })
 }
 
-/// The histograms of a table. Names have no order, so their histograms are left out. A table without records gives no picture.
+/// Draws the histograms of a table. Names have no order, so their histograms are left out. A table without records gives no
+/// picture.
 fn draw(histograms: &Histograms) -> Result<Vec<String>, ReportError> {
     let all = histograms.table.attributes().iter().zip(&histograms.attributes);
     let shown: Vec<(&Attribute, &Counts)> = all.filter(|(attribute, _)| attribute.scale != Scale::Name).collect();
@@ -154,7 +155,7 @@ fn shares(counts: &[u64]) -> Vec<f64> {
 
 fn histogram(area: &Area<'_>, attribute: &Attribute, counts: &Counts) -> Drawn {
     let (image, samples) = (shares(&counts.image), shares(&counts.samples));
-    // What is beyond the last bin that anything is in is left out.
+    // Leave out empty bins at the end.
     let last = samples.iter().rposition(|share| *share > 0.0).unwrap_or(0);
     let bins = match attribute.scale {
         Scale::Count | Scale::Class => last + 1,
@@ -185,7 +186,7 @@ fn histogram(area: &Area<'_>, attribute: &Attribute, counts: &Counts) -> Drawn {
     Ok(())
 }
 
-/// What a bin begins with.
+/// Returns the label of a bin's lower end.
 fn label(attribute: &Attribute, place: f64) -> String {
     let bin = place.round().clamp(0.0, (FINE - 1) as f64) as u8;
     match attribute.scale {
@@ -202,7 +203,7 @@ fn power(edge: f64) -> String {
     if edge > 0.0 { format!("{edge:.0e}") } else { "0".to_owned() }
 }
 
-/// The word of a bin of words.
+/// Returns the word of a bin of words.
 fn class(attribute: &str, bin: u8) -> &'static str {
     let Some(number) = bin.checked_sub(1).map(usize::from) else { return "none" };
     let word = match attribute {

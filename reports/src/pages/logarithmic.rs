@@ -1,4 +1,4 @@
-//! Charts of which both axes are logarithmic: lines through points, with bands.
+//! Charts with two logarithmic axes: lines through points, with bands.
 
 use super::figure::{FONT, figure, ticks};
 use crate::ReportError;
@@ -8,35 +8,35 @@ use std::fmt::Write;
 
 /// A chart.
 pub struct Chart {
-    /// What its axes are.
+    /// Titles of the axes.
     pub axes: [&'static str; 2],
-    /// Its lines.
+    /// Lines of the chart.
     pub lines: Vec<Line>,
 }
 
 /// A line.
 pub struct Line {
-    /// Its color.
+    /// Color of the line.
     pub color: RGBColor,
-    /// In the order in which they are joined; those that are not positive are left out.
+    /// Points in the order in which they are joined. Points that are not positive are left out.
     pub marks: Vec<Mark>,
 }
 
-/// A point.
+/// A point of a line.
 pub struct Mark {
-    /// Where.
+    /// Position.
     pub at: (f64, f64),
-    /// Half of the band's width there.
+    /// Half width of the band at the point.
     pub half_width: Option<f64>,
-    /// What is shown when it is pointed at.
+    /// Tooltip of the point.
     pub title: String,
 }
 
-/// A band that reaches down to zero or below ends at this share of the point.
+/// Lower end of a band that would reach zero or below, as a fraction of the point's value.
 const LEAST: f64 = 0.2;
 
 impl Mark {
-    /// Ends of the band.
+    /// Returns the ends of the band.
     fn band(&self) -> (f64, f64) {
         let half = self.half_width.unwrap_or(0.0);
         ((self.at.1 - half).max(LEAST * self.at.1), self.at.1 + half)
@@ -48,7 +48,7 @@ impl Mark {
     }
 }
 
-/// Charts side by side, of this height; nothing where no point can be shown.
+/// Draws charts of this height side by side; nothing if no point can be shown.
 pub fn draw(charts: Vec<Chart>, height: u32) -> Result<Vec<String>, ReportError> {
     let shown = |mut chart: Chart| {
         chart.lines.iter_mut().for_each(|line| line.marks.retain(Mark::is_shown));
@@ -63,7 +63,7 @@ pub fn draw(charts: Vec<Chart>, height: u32) -> Result<Vec<String>, ReportError>
         let places = area.split_evenly((1, charts.len()));
         charts.iter().zip(places).try_for_each(|(chart, place)| chart.draw(&place, &mut titled))
     })?;
-    // What is pointed at lies on top of everything.
+    // Points with tooltips lie on top.
     Ok(vec![svg.replacen("</svg>", &format!("{titled}</svg>"), 1)])
 }
 
@@ -103,7 +103,7 @@ impl Chart {
             let band: Vec<(f64, f64)> = edge(true).chain(edge(false).rev()).collect();
             if marks.iter().any(|mark| mark.half_width.is_some()) {
                 chart.draw_series([Polygon::new(band, color.mix(0.18))])?;
-                // A band of a single point is a line, and so is every end.
+                // The band of a single point is a line. Lines also mark the band at each point.
                 let whiskers = marks.iter().map(|mark| {
                     let ends = mark.band();
                     PathElement::new(vec![(mark.at.0, ends.0), (mark.at.0, ends.1)], color.mix(0.5))
@@ -114,7 +114,7 @@ impl Chart {
             for mark in marks {
                 let ((x, y), RGBColor(r, g, b)) = (chart.backend_coord(&mark.at), color);
                 let title = super::page::escaped(&mark.title);
-                // Writing into a string does not fail.
+                // Writing into a string cannot fail.
                 let _ = writeln!(
                     titled,
                     "<circle cx=\"{x}\" cy=\"{y}\" r=\"4\" fill=\"rgb({r},{g},{b})\" stroke=\"white\"><title>{title}</title></circle>"
@@ -125,21 +125,21 @@ impl Chart {
     }
 }
 
-/// A range with some room at both ends.
+/// Returns the range of values, with some room at both ends.
 fn around(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (least, most) = values.fold((f64::INFINITY, 0.0_f64), |(least, most), it| (least.min(it), most.max(it)));
     let room = (most / least).powf(0.06).max(1.25);
     (least / room, most * room)
 }
 
-/// Decades, or where there are fewer than three more numbers between.
+/// Returns the decades of an axis, with more values in between if there are fewer than three.
 fn axis(least: f64, most: f64) -> Vec<f64> {
     let decades: Vec<f64> =
         (least.log10().ceil() as i32..=most.log10().floor() as i32).map(|it| 10_f64.powi(it)).collect();
     if decades.len() > 2 { decades } else { ticks(least, most) }
 }
 
-/// `0.02`, `5`, `2e-5`.
+/// Formats a number: `0.02`, `5`, `2e-5`.
 fn number(value: f64) -> String {
     if !(1e-3..1e5).contains(&value) {
         return format!("{value:.1e}").replace(".0e", "e");

@@ -1,4 +1,4 @@
-//! Reports as pages: one HTML file each, with its figures inside, which asks nobody for anything.
+//! Reports as pages: one HTML file each, with embedded figures and without external resources.
 
 pub mod bench;
 mod cost;

@@ -1,4 +1,4 @@
-//! The HTML around the figures.
+//! HTML around the figures.
 
 use super::figure::WIDTH;
 use crate::attempts::{By, FailureLog, JobRecord, Row, columns, shown};
@@ -6,9 +6,9 @@ use base64::Engine as _;
 use plotters::style::RGBColor;
 use std::fmt::Write;
 
-/// Widest that pictures are shown, pixels.
+/// Greatest displayed width of pictures, pixels.
 const SHOWN: u32 = WIDTH / 2;
-/// Most lines of a table: the whole is for `femc stats`.
+/// Most lines of a table. `femc stats` prints the whole table.
 const LINES: usize = 200;
 
 const STYLE: &str = "
@@ -23,11 +23,11 @@ const STYLE: &str = "
     .map { display: inline-block; width: 49%; margin: .5em 0; font-size: 13px } .map img { width: 98%; height: auto; image-rendering: pixelated }
     .key { display: inline-block; width: .9em; height: .9em; margin: 0 .4em 0 1em; vertical-align: -.1em }";
 
-/// A page in the making.
+/// A page under construction.
 pub struct Page(String);
 
 impl Page {
-    /// Under this title.
+    /// Begins a page with this title.
     pub fn new(title: &str) -> Self {
         let title = escaped(title);
         Self(format!(
@@ -36,7 +36,7 @@ impl Page {
         ))
     }
 
-    /// Names and what they are.
+    /// Adds a list of names and values.
     pub fn facts(&mut self, facts: &[(&str, String)]) {
         self.0.push_str("<dl>");
         for (name, fact) in facts {
@@ -45,19 +45,19 @@ impl Page {
         self.0.push_str("</dl>\n");
     }
 
-    /// The next part.
+    /// Begins a section.
     pub fn section(&mut self, title: &str, about: &str) {
         self.put(format_args!("<h2>{}</h2>\n<p>{}</p>\n", escaped(title), escaped(about)));
     }
 
-    /// A paragraph.
+    /// Adds a paragraph.
     pub fn text(&mut self, text: &str) {
         self.put(format_args!("<p>{}</p>\n", escaped(text)));
     }
 
-    /// An SVG.
+    /// Adds an SVG.
     pub fn figure(&mut self, svg: &str) {
-        // Scaled as wide as the page, by its own proportions.
+        // Scale the figure to the width of the page with its own proportions.
         let (width, height) = (attribute(svg, "width"), attribute(svg, "height"));
         let scaled = svg.replacen(
             "<svg ",
@@ -67,7 +67,7 @@ impl Page {
         self.put(format_args!("<figure style=\"margin: 0\">{scaled}</figure>\n"));
     }
 
-    /// SVGs, or words where there are none.
+    /// Adds SVGs, or the text `without` if there are none.
     pub fn figures(&mut self, svgs: &[String], without: &str) {
         if svgs.is_empty() {
             self.text(without);
@@ -75,7 +75,7 @@ impl Page {
         svgs.iter().for_each(|svg| self.figure(svg));
     }
 
-    /// A PNG, with a line under it.
+    /// Adds a PNG with a caption.
     pub fn picture(&mut self, title: &str, png: &[u8]) {
         let (title, address, width) = (escaped(title), address(png), SHOWN);
         self.put(format_args!(
@@ -84,7 +84,7 @@ impl Page {
         ));
     }
 
-    /// What colors mean.
+    /// Adds a legend of colors.
     pub fn legend(&mut self, entries: &[(&str, RGBColor)]) {
         self.0.push_str("<p>");
         for (name, RGBColor(r, g, b)) in entries {
@@ -93,7 +93,7 @@ impl Page {
         self.0.push_str("</p>\n");
     }
 
-    /// Rows, as `femc stats` shows them.
+    /// Adds a table of rows, as `femc stats` shows them.
     pub fn table(&mut self, by: By, rows: &[Row]) {
         let (titles, cells) = shown(&columns(by), &rows[..rows.len().min(LINES)]);
         self.cells(&titles, &cells);
@@ -102,7 +102,7 @@ impl Page {
         }
     }
 
-    /// Titles and rows of text.
+    /// Adds a table of titles and rows of text.
     pub fn cells<T: AsRef<str>>(&mut self, titles: &[T], rows: &[Vec<String>]) {
         self.0.push_str("<div class=\"wide\"><table><tr>");
         titles.iter().for_each(|title| self.put(format_args!("<th>{}</th>", escaped(title.as_ref()))));
@@ -113,7 +113,7 @@ impl Page {
         self.0.push_str("</tr></table></div>\n");
     }
 
-    /// Failures and their logs.
+    /// Adds failures and their logs.
     pub fn failures(&mut self, records: &[JobRecord]) {
         if records.iter().all(|record| record.failures.is_empty()) {
             self.text("None.");
@@ -129,30 +129,30 @@ impl Page {
         }
     }
 
-    /// The whole.
+    /// Returns the finished page.
     pub fn end(mut self) -> String {
         self.0.push_str("</body></html>\n");
         self.0
     }
 
     fn put(&mut self, what: std::fmt::Arguments<'_>) {
-        // Writing into a string does not fail.
+        // Writing into a string cannot fail.
         let _ = self.0.write_fmt(what);
     }
 }
 
-/// A picture as the address of an image.
+/// Encodes a PNG as a data URL.
 fn address(png: &[u8]) -> String {
     format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(png))
 }
 
-/// The value of the first attribute of that name, or nothing.
+/// Returns the value of the first attribute of this name, or an empty string.
 fn attribute<'a>(svg: &'a str, name: &str) -> &'a str {
     let rest = svg.split_once(&format!("{name}=\"")).map_or("", |(_, rest)| rest);
     rest.split('"').next().unwrap_or("")
 }
 
-/// Text that is no markup.
+/// Escapes text for HTML.
 pub fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for c in text.chars() {

@@ -1,4 +1,4 @@
-//! Who did what when: a lane for each worker, and one beside it for what it joined meanwhile.
+//! Timeline of workers: a lane for each worker's computing tasks, and a second one for its joining tasks.
 
 use super::figure::{Area, BLUE, Drawn, FONT, ORANGE, WIDTH, beyond, figure};
 use crate::ReportError;
@@ -7,7 +7,7 @@ use femc_model::{Ending, Lane};
 use plotters::prelude::*;
 use std::collections::BTreeMap;
 
-/// What a bar is of.
+/// Kind of a bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Bar {
     Computed,
@@ -19,7 +19,7 @@ enum Bar {
 const GRAY: RGBColor = RGBColor(170, 170, 170);
 const CRIMSON: RGBColor = RGBColor(200, 40, 50);
 
-/// The colors, in words.
+/// Legend of the colors.
 pub const LEGEND: [(&str, RGBColor); 4] =
     [("computed", BLUE), ("joined", ORANGE), ("failed", CRIMSON), ("cancelled, revoked or lost", GRAY)];
 
@@ -42,13 +42,13 @@ fn joins(row: &Row) -> bool {
     row.task.is_some_and(|task| task.stage.kind.row().lane == Lane::Join)
 }
 
-/// From when to when.
+/// Start and end of each bar.
 type Spans = Vec<(f64, f64)>;
 
-/// Of attempts.
+/// Draws the timeline of attempts.
 pub fn draw(attempts: &[Row]) -> Result<String, ReportError> {
     let end = beyond(attempts.iter().map(|row| row.ended).fold(0.0, f64::max));
-    // Half a pixel.
+    // Width of half a pixel.
     let gap = end / f64::from(2 * WIDTH);
     let mut lanes: BTreeMap<(String, u64, bool), BTreeMap<Bar, Spans>> = BTreeMap::new();
     for row in attempts {
@@ -57,7 +57,7 @@ pub fn draw(attempts: &[Row]) -> Result<String, ReportError> {
     }
     for spans in lanes.values_mut().flat_map(BTreeMap::values_mut) {
         join(spans, gap);
-        // Two pixels at least.
+        // At least two pixels.
         spans.iter_mut().for_each(|(began, ended)| *ended = ended.max(*began + 4.0 * gap));
     }
     let names: Vec<String> = lanes
@@ -69,7 +69,7 @@ pub fn draw(attempts: &[Row]) -> Result<String, ReportError> {
     figure(60 + 24 * names.len() as u32, |area| chart(area, &names, &bars, end))
 }
 
-/// Makes one of those that begin within `gap` of each other.
+/// Merges bars that begin within `gap` of each other.
 fn join(spans: &mut Spans, gap: f64) {
     spans.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut joined = Spans::new();
@@ -111,7 +111,7 @@ fn chart(area: &Area<'_>, names: &[String], bars: &[BTreeMap<Bar, Spans>], end: 
         };
         for (bar, spans) in kinds {
             chart.draw_series(spans.iter().map(|span| shape(span, bar.color().filled())))?;
-            // Where wide bars touch, their ends show; of narrow ones nothing else would.
+            // Outlines separate wide bars that touch. They would hide narrow bars.
             let wide = spans.iter().filter(|(began, ended)| ended - began > 8.0 * end / f64::from(WIDTH));
             chart.draw_series(wide.map(|span| shape(span, WHITE.mix(0.6).into())))?;
         }

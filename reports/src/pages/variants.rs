@@ -1,21 +1,21 @@
-//! What each variant cost.
+//! Figure of the cost of each variant.
 
 use super::figure::{BLUE, FONT, beyond, figure};
 use crate::ReportError;
 use crate::attempts::Row;
 use plotters::prelude::*;
 
-/// Most bars: the most expensive.
+/// Most bars that are shown, the most expensive ones.
 const BARS: usize = 60;
 
-/// Of variants, or of jobs.
+/// Draws the figure for variants or jobs.
 pub fn draw(variants: &[Row]) -> Result<String, ReportError> {
     let mut shown: Vec<(String, f64)> = variants.iter().map(|row| (name(row), row.cpu)).collect();
     if shown.len() > BARS {
         shown.sort_by(|a, b| b.1.total_cmp(&a.1));
         shown.truncate(BARS);
     }
-    // The first on top.
+    // The first one comes on top.
     shown.reverse();
     let most = beyond(shown.iter().map(|(_, cpu)| *cpu).fold(0.0, f64::max));
     let longest = shown.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0) as u32;

@@ -2,73 +2,73 @@
 
 use femc_film::Picture;
 
-/// Canvas pixels to a picture's pixel, each way.
+/// Canvas pixels per picture pixel along each axis.
 pub const FINE: usize = 2;
 
-/// A point of a stroke, in the picture's pixels.
+/// A point of a stroke, in picture pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dab {
     /// Column.
     pub x: f32,
     /// Row.
     pub y: f32,
-    /// Half the width of the stroke there.
+    /// Half the width of the stroke at the point.
     pub radius: f32,
 }
 
-/// Where a stroke meets a pixel of the canvas.
+/// A canvas pixel that a stroke covers.
 #[derive(Clone, Copy, Debug)]
 pub struct Touch {
-    /// Number of the canvas's pixel.
+    /// Index of the canvas pixel.
     pub at: usize,
-    /// Position in the picture's pixels.
+    /// Column in picture pixels.
     pub x: f32,
-    /// Row.
+    /// Row in picture pixels.
     pub y: f32,
-    /// Part of the pixel that is covered, 0..1.
+    /// Covered fraction of the pixel, 0..1.
     pub cover: f32,
-    /// Length of the stroke up to here, the picture's pixels.
+    /// Length of the stroke up to the pixel, in picture pixels.
     pub along: f32,
-    /// From -1 at one border to 1 at the other.
+    /// Position across the stroke, from -1 at one border to 1 at the other.
     pub across: f32,
 }
 
-/// What is known of a pixel while a stroke goes over it.
+/// Data of a pixel while a stroke covers it.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mark {
     cover: f32,
-    /// How far within the stroke, of its nearest point.
+    /// Depth inside the stroke at its nearest point.
     within: f32,
     along: f32,
     across: f32,
 }
 
-/// Colors are sRGB in 0..1.
+/// A canvas. Colors are sRGB in 0..1.
 #[derive(Clone, Debug)]
 pub struct Canvas {
     /// Columns of the canvas.
     pub width: usize,
     /// Rows of the canvas.
     pub height: usize,
-    /// Its pixels.
+    /// Pixels of the canvas.
     pub pixels: Vec<[f32; 3]>,
     marks: Vec<Mark>,
 }
 
 impl Canvas {
-    /// A canvas for a picture of so many pixels.
+    /// Creates a canvas for a picture of this size in pixels.
     pub fn new(width: usize, height: usize, paper: [f32; 3]) -> Self {
         let (width, height) = (FINE * width, FINE * height);
         Self { width, height, pixels: vec![paper; width * height], marks: vec![Mark::default(); width * height] }
     }
 
-    /// Center of a pixel of the canvas, in the picture's pixels.
+    /// Returns the center of a canvas pixel, in picture pixels.
     pub fn position(&self, at: usize) -> (f32, f32) {
         let center = |n: usize| (n as f32 + 0.5) / FINE as f32;
         (center(at % self.width), center(at / self.width))
     }
 
-    /// The pixels that a stroke through `dabs` covers, each once, from the top left.
+    /// Returns the pixels that a stroke through `dabs` covers, each once, from the top left.
     pub fn touched(&mut self, dabs: &[Dab]) -> Vec<Touch> {
         let mut touched = Vec::new();
         let mut along = 0.0;
@@ -116,19 +116,19 @@ impl Canvas {
         touched.into_iter().map(touch).collect()
     }
 
-    /// Lays `color` over a pixel, `cover` of it.
+    /// Paints the fraction `cover` of a pixel with `color`.
     pub fn lay(&mut self, at: usize, color: [f32; 3], cover: f32) {
         self.pixels[at] = mix(self.pixels[at], color, cover);
     }
 
-    /// Ink or glaze: what is there shines through, darkened by `color`.
+    /// Applies ink or glaze: the present color shows through, darkened by `color`.
     pub fn glaze(&mut self, at: usize, color: [f32; 3], cover: f32) {
         let pixel = &mut self.pixels[at];
         (0..3).for_each(|i| pixel[i] *= 1.0 - cover * (1.0 - color[i]));
     }
 
-    /// Of each pixel of the canvas that is `inside` how far the nearest one is that is not, in the picture's pixels; 0
-    /// outside. Steps along rows, columns and diagonals are counted: up to 8 % too far.
+    /// Computes the distance of each canvas pixel `inside` to the nearest pixel outside, in picture pixels; 0 outside. Counts steps
+    /// along rows, columns and diagonals, which makes distances up to 8 % too large.
     pub fn depth_within(&self, inside: &[bool]) -> Vec<f32> {
         const DIAGONAL: f32 = std::f32::consts::SQRT_2;
         let (width, height) = (self.width as isize, self.height as isize);
@@ -149,7 +149,7 @@ impl Canvas {
         far.into_iter().map(|steps| steps / FINE as f32).collect()
     }
 
-    /// The picture: each pixel the mean of the canvas's.
+    /// Returns the picture: each pixel is the mean of its canvas pixels.
     pub fn picture(&self) -> Picture {
         let (width, height) = (self.width / FINE, self.height / FINE);
         let pixel = |at: usize| {
@@ -166,19 +166,19 @@ impl Canvas {
     }
 }
 
-/// From `a` to `b`.
+/// Interpolates from `a` to `b`.
 pub fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
     std::array::from_fn(|i| a[i] + t * (b[i] - a[i]))
 }
 
-/// 0 below `from`, 1 above `to`, and smooth between; also downwards.
+/// Smooth step: 0 below `from`, 1 above `to`. `from` may be greater than `to`.
 pub fn ramp(from: f32, to: f32, x: f32) -> f32 {
     let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// The line that follows a field of directions from `start`, both ways: points `step` apart, as long as `go` says so.
-/// - `direction`: of any length, either sign; zero where there is none;
+/// Traces the line that follows a field of directions from `start`, both ways: points `step` apart, as long as `go` returns true.
+/// - `direction`: of any length and either sign; zero where there is none;
 /// - `go`: whether a point, the nth from the start, is part of the line.
 pub fn follow(
     start: [f32; 2],
@@ -227,7 +227,7 @@ mod tests {
         assert!((area - (100.0 + 4.0 * std::f32::consts::PI)).abs() < 2.0, "{area}");
         let middle = touches.iter().find(|t| (t.x - 22.25).abs() < 0.1 && (t.y - 11.75).abs() < 0.1).unwrap();
         assert!((middle.along - 17.25).abs() < 1e-3 && (middle.across - 0.875).abs() < 1e-3, "{middle:?}");
-        // The next stroke does not know of this one.
+        // The next stroke is independent of this one.
         assert_eq!(canvas.touched(&dabs).len(), touches.len());
     }
 

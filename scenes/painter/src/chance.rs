@@ -1,18 +1,18 @@
-//! Chance and noise without state: the same words, the same value.
+//! Stateless randomness and noise: equal words give equal values.
 
 use femc_math::hash::{combine, mix32, unit_f32};
 
-/// In 0..1, by a hash of `words`.
+/// Returns a number in 0..1 from a hash of `words`.
 pub fn unit(words: &[u64]) -> f32 {
     unit_f32((combine(words) >> 32) as u32)
 }
 
-/// In -1..1, by a hash of `words`.
+/// Returns a number in -1..1 from a hash of `words`.
 pub fn signed(words: &[u64]) -> f32 {
     2.0 * unit(words) - 1.0
 }
 
-/// Smooth noise in -1..1, of which a feature is one unit wide.
+/// Smooth noise in -1..1 with features one unit wide.
 pub fn noise(seed: u32, x: f32, y: f32) -> f32 {
     let (column, row) = (x.floor(), y.floor());
     let (u, v) = (x - column, y - row);
@@ -26,7 +26,7 @@ pub fn noise(seed: u32, x: f32, y: f32) -> f32 {
     top + t * (bottom - top)
 }
 
-/// Noise of several sizes, about -1..1: features of one unit, a half, a quarter ..
+/// Noise of several sizes, about -1..1: features of one unit, a half, a quarter, and so on.
 pub fn cloud(seed: u32, x: f32, y: f32, octaves: u32) -> f32 {
     let (mut sum, mut weight, mut scale) = (0.0, 0.5, 1.0);
     for octave in 0..octaves {
@@ -36,18 +36,18 @@ pub fn cloud(seed: u32, x: f32, y: f32, octaves: u32) -> f32 {
     1.4 * sum
 }
 
-/// Where a stroke may begin.
+/// Possible start of a stroke.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// For all that is left to chance of the stroke.
+    /// Key for all random properties of the stroke.
     pub key: u64,
-    /// Position in the picture's pixels.
+    /// Column in picture pixels.
     pub x: f32,
-    /// Row.
+    /// Row in picture pixels.
     pub y: f32,
 }
 
-/// Places all over a picture and a little beyond, one in each square of `apart` pixels, in an order without direction.
+/// Draws positions over a picture and slightly beyond, one in each square of `apart` pixels, in an order without direction.
 pub fn places(seed: u64, width: usize, height: usize, apart: f32) -> Vec<Place> {
     let count = |pixels: usize| (pixels as f32 / apart) as u64 + 1;
     let (columns, rows) = (count(width), count(height));

@@ -1,4 +1,4 @@
-//! The file that styles are painted from and matched by: five layers of light in halves, albedo and depth.
+//! Guide file that styles are painted from and matched with: five layers of light in half floats, albedo and depth.
 
 use crate::PainterError;
 use femc_film::FilmError;
@@ -6,7 +6,7 @@ use femc_film::exr::{self, NamedChannel, Precision};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The layers of `--layers guides`.
+/// Layers of `--layers guides`.
 pub const LAYERS: [&str; 5] = ["full", "direct_diffuse", "direct_specular", "two_diffuse", "diffuse_interreflection"];
 
 /// Layers of a render, row by row; light in cd/m2.
@@ -16,16 +16,16 @@ pub struct Guides {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// In the order of [`LAYERS`].
+    /// Layers in the order of [`LAYERS`].
     pub layers: [Vec<[f32; 3]>; 5],
-    /// Of the first surface, 0..1.
+    /// Albedo of the first surface, 0..1.
     pub albedo: Vec<[f32; 3]>,
-    /// Depth of the first surface along the view, metres.
+    /// Depth of the first surface along the view, meters.
     pub depth: Vec<f32>,
 }
 
 impl Guides {
-    /// Reads them from the one file that [`Guides::encode`] makes.
+    /// Reads guides from a file that [`Guides::encode`] made.
     pub fn read(path: &Path) -> Result<Self, PainterError> {
         let (layers, size) = layers(path)?;
         let Forms { albedo, depth, .. } = forms(path)?;
@@ -42,8 +42,8 @@ impl Guides {
         Ok(Self { width: size.0, height: size.1, layers, albedo, depth })
     }
 
-    /// One file of all: light and albedo in halves, as good as a render's noise, and depth in floats, for its slopes
-    /// are looked at.
+    /// Encodes all guides in one file: light and albedo in half floats, as precise as a render's noise, and depth in floats,
+    /// because its slopes are used.
     /// - `attributes`: text attributes, such as those of the render.
     pub fn encode(&self, attributes: &BTreeMap<String, String>) -> Result<Vec<u8>, FilmError> {
         let mut planes: Vec<(String, Vec<f32>, Precision)> = Vec::new();

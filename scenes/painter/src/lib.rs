@@ -1,9 +1,8 @@
-//! Paints a render as an artist might, by program: styles to begin with where there is no artist.
+//! Paints a render in the manner of an artist: default styles for users without an artist.
 //!
-//! [`Sight`] is what a painter sees in a render: light, half shadow, highlight, light thrown back, forms. A style is a
-//! file of `style/` with one function from that to a picture, and a line of [`STYLES`]. Everything is drawn on a
-//! [`Canvas`] of twice the size, and chance comes from hashes of what is drawn, so that the same image gives the same
-//! bytes everywhere.
+//! [`Sight`] is the painter's view of a render: light, half shadow, highlight, bounced light, forms. A style is a file of `style/`
+//! with one function from that to a picture, and a line of [`STYLES`]. Everything is drawn on a [`Canvas`] of twice the size.
+//! Random numbers come from hashes of the drawn objects, so that equal images give equal bytes on every machine.
 #![deny(missing_docs)]
 
 pub mod canvas;
@@ -19,12 +18,12 @@ pub use sight::Sight;
 
 use femc_film::Picture;
 
-/// A style by its name, which is that of its file.
+/// A style. Its name is that of its file.
 #[derive(Clone, Copy, Debug)]
 pub struct Style {
-    /// As in `scenes/styles/NAME.png`.
+    /// Name, as in `scenes/styles/NAME.png`.
     pub name: &'static str,
-    /// Paints a picture of the size of what is seen.
+    /// Function that paints a picture of the size of the render.
     pub paint: fn(&Sight) -> Picture,
 }
 
@@ -36,23 +35,23 @@ pub const STYLES: [Style; 4] = [
     Style { name: "cel", paint: style::cel::paint },
 ];
 
-/// What can go wrong.
+/// Error of the painter.
 #[derive(Debug, thiserror::Error)]
 pub enum PainterError {
-    /// A file cannot be read, written or has not the channels.
+    /// A file cannot be read or written, or lacks channels.
     #[error(transparent)]
     Film(#[from] femc_film::FilmError),
-    /// Two files of one frame that do not fit.
+    /// Two files of one frame with different sizes.
     #[error("{frame} has {found:?} pixels, and its layers have {expected:?}: render both by one command")]
     OtherSize {
-        /// The frame's file.
+        /// File of the frame.
         frame: std::path::PathBuf,
-        /// Its width and height.
+        /// Width and height of the frame.
         found: (u32, u32),
-        /// Those of the layers.
+        /// Width and height of the layers.
         expected: (u32, u32),
     },
-    /// A frame in which nothing is seen.
+    /// A frame without direct light.
     #[error("the layer `direct_diffuse` has no light at all: there is nothing to paint")]
     Dark,
 }

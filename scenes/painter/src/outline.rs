@@ -3,22 +3,22 @@
 use crate::Sight;
 use crate::canvas::follow;
 
-/// Points of an outline are so far apart, pixels.
+/// Distance between points of an outline, pixels.
 pub const STEP: f32 = 1.0;
-/// Lines that come closer to each other are one.
+/// Distance below which two lines are merged, pixels.
 const APART: f32 = 3.0;
 
 /// A line, or a piece of one.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// The object that it is the outline of, or that it lies on.
+    /// Object that the line outlines, or lies on.
     pub object: u8,
     /// Points, [`STEP`] apart.
     pub points: Vec<[f32; 2]>,
 }
 
-/// The lines at which objects meet, each once, smoothed to a pixel or two: first those of round things, which are
-/// mostly before others.
+/// Returns the lines where objects meet, each once, smoothed over a pixel or two. Round objects come first, because they are mostly
+/// in front of others.
 pub fn outlines(sight: &Sight) -> Vec<Line> {
     let mut drawn = Near::new(sight.width, sight.height, APART);
     let mut objects: Vec<u8> = (0..sight.curved.len() as u8).collect();
@@ -32,8 +32,8 @@ pub fn outlines(sight: &Sight) -> Vec<Line> {
     lines
 }
 
-/// The lines on which `plane` has the value `level`, on each object by itself.
-/// - `keep`: where there may be a line.
+/// Returns the lines on which `plane` has the value `level`, on each object separately.
+/// - `keep`: whether a line may pass through a point.
 pub fn levels(sight: &Sight, plane: &[f32], level: f32, keep: impl Fn(f32, f32) -> bool) -> Vec<Line> {
     let mut lines = Vec::new();
     for object in 0..sight.curved.len() as u8 {
@@ -83,7 +83,7 @@ fn contours(
     lines
 }
 
-/// 1 within the object, 0 without, and a slope between.
+/// Returns 1 inside the object, 0 outside, and a slope in between.
 fn inside(sight: &Sight, object: u8) -> Vec<f32> {
     let sharp: Vec<f32> = sight.object.iter().map(|&number| f32::from(u8::from(number == object))).collect();
     let soft = blur(sight, &sharp);
@@ -106,7 +106,7 @@ fn blur(sight: &Sight, plane: &[f32]) -> Vec<f32> {
     (0..plane.len()).map(mean).collect()
 }
 
-/// Places that are taken, to keep lines apart.
+/// Set of occupied points, which keeps lines apart.
 #[derive(Clone, Debug)]
 pub struct Near {
     columns: usize,
@@ -116,7 +116,7 @@ pub struct Near {
 }
 
 impl Near {
-    /// Of a picture of so many pixels: nothing is taken. `apart` is the most that can be asked for.
+    /// Creates an empty set for a picture of this size in pixels. `apart` is the greatest distance for queries.
     pub fn new(width: usize, height: usize, apart: f32) -> Self {
         let cells = |pixels: usize| (pixels as f32 / apart) as usize + 1;
         let (columns, rows) = (cells(width), cells(height));
@@ -128,13 +128,13 @@ impl Near {
         (index(x, self.columns), index(y, self.rows))
     }
 
-    /// Takes a place.
+    /// Adds a point.
     pub fn take(&mut self, x: f32, y: f32) {
         let (column, row) = self.cell(x, y);
         self.places[row * self.columns + column].push([x, y]);
     }
 
-    /// Whether no taken place is closer than `apart`; 0: than the most.
+    /// Checks that no point is closer than `apart`; 0 means the greatest distance.
     pub fn free(&self, x: f32, y: f32, apart: f32) -> bool {
         let apart = if apart > 0.0 { apart.min(self.cell) } else { self.cell };
         let (column, row) = self.cell(x, y);

@@ -1,52 +1,52 @@
-//! What a painter sees: objects and their forms, and on them light, bounced light and gloss apart.
+//! The painter's view of a render: objects and their forms, with separate light, bounced light and gloss.
 
 use crate::{Guides, PainterError};
 use femc_film::{Image, ToneCurve, tone};
 use femc_math::elementary::tan;
 use std::collections::BTreeMap;
 
-/// Half the angle that the picture is taken to span, degrees: depth alone does not tell. Forms look flatter or rounder
-/// where it is wrong.
+/// Half of the assumed field of view, degrees, because depth alone does not determine it. A wrong value makes forms look flatter or
+/// rounder.
 const HALF_VIEW: f32 = 15.0;
-/// Albedos of neighbors that differ by less, in all channels together, are of one object.
+/// Albedo difference of neighbors, summed over all channels, below which they belong to one object.
 const SAME: f32 = 0.03;
-/// Objects of fewer pixels are taken to be part of what is around them: edges of mixed pixels, mostly.
+/// Size in pixels below which an object is merged into its surroundings: mostly edges of mixed pixels.
 const SMALL: usize = 60;
 
-/// All planes are row by row and of the picture's size. Positions are in pixels: the center of the first pixel is (0.5,
-/// 0.5).
+/// Planes of the painter's view, row by row and of the picture's size. Positions are in pixels: the center of the first pixel is
+/// (0.5, 0.5).
 #[derive(Clone, Debug)]
 pub struct Sight {
     /// Columns.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// The picture as it is shown, sRGB in 0..1.
+    /// Displayed picture, sRGB in 0..1.
     pub shown: Vec<[f32; 3]>,
-    /// Luma of that.
+    /// Luma of the displayed picture.
     pub tone: Vec<f32>,
     /// Color of the surface itself, sRGB in 0..1.
     pub local: Vec<[f32; 3]>,
-    /// How much light falls straight onto the surface; 1: as much as where it is lightest.
+    /// Direct light on the surface. The value 1 is exceeded by one pixel in fifty.
     pub light: Vec<f32>,
-    /// The same as a painter balances it: what is lit weakly as a whole is painted half as dark as it is (by the root
-    /// of the light where the object is lightest).
+    /// Direct light divided by the square root of the object's brightest light, so that weakly lit objects are painted half as dark
+    /// as they are.
     pub lit: Vec<f32>,
-    /// Light that comes by other surfaces, in the same unit.
+    /// Light from other surfaces, in the same unit as `light`.
     pub bounce: Vec<f32>,
     /// Strength of the highlight, 0..1.
     pub gloss: Vec<f32>,
-    /// Unit normal: x to the right, y down, z to the eye.
+    /// Unit normal: x to the right, y down, z toward the eye.
     pub normal: Vec<[f32; 3]>,
-    /// Number of the object; the largest one is 0.
+    /// Number of the object; the largest object has number 0.
     pub object: Vec<u8>,
-    /// How curved each object is: 0 for a plane, about 0.5 for a ball.
+    /// Curvature of each object: 0 for a plane, about 0.5 for a ball.
     pub curved: Vec<f32>,
 }
 
 impl Sight {
-    /// Looks at a render.
-    /// - errors: there is no direct light in it.
+    /// Analyzes a render.
+    /// - errors: it has no direct light.
     pub fn of(guides: &Guides) -> Result<Self, PainterError> {
         let (width, height) = (guides.width as usize, guides.height as usize);
         let layer = |number: usize| guides.layers[number].iter().map(|&color| finite(color)).collect::<Vec<_>>();
@@ -65,7 +65,7 @@ impl Sight {
         }
         light.iter_mut().chain(&mut bounce).for_each(|value| *value /= most);
         let mut gloss: Vec<f32> = specular.iter().map(|&color| luma(color)).collect();
-        // A highlight is one where it is as light as what is lit beside it.
+        // A highlight counts where it is as bright as the lit area beside it.
         let glaring = gloss
             .iter()
             .copied()
@@ -92,14 +92,14 @@ impl Sight {
         })
     }
 
-    /// Index of the pixel at a position; the nearest one of positions outside.
+    /// Returns the index of the pixel at a position. Positions outside use the nearest pixel.
     pub fn at(&self, x: f32, y: f32) -> usize {
         let column = x.clamp(0.0, (self.width - 1) as f32) as usize;
         let row = y.clamp(0.0, (self.height - 1) as f32) as usize;
         row * self.width + column
     }
 
-    /// A plane's value between the centers of pixels.
+    /// Interpolates a plane between pixel centers.
     pub fn smooth(&self, plane: &[f32], x: f32, y: f32) -> f32 {
         let (x, y) = ((x - 0.5).clamp(0.0, (self.width - 1) as f32), (y - 0.5).clamp(0.0, (self.height - 1) as f32));
         let (column, row) =
@@ -112,7 +112,7 @@ impl Sight {
         top + v * (bottom - top)
     }
 
-    /// A plane blurred within objects: the mean of a square of so many pixels to each side.
+    /// Blurs a plane within objects: averages a square of `radius` pixels to each side.
     pub fn blurred(&self, plane: &[f32], radius: usize) -> Vec<f32> {
         within(self.width, self.height, &self.object, radius, |at, sum: &mut (f32, f32)| {
             sum.0 += plane[at];
@@ -124,17 +124,17 @@ impl Sight {
     }
 }
 
-/// What is no number, or endless, is black.
+/// Replaces values that are not finite by black.
 fn finite(color: [f32; 3]) -> [f32; 3] {
     color.map(|c| if c.is_finite() { c } else { 0.0 })
 }
 
-/// Rec.709 luma or luminance.
+/// Computes Rec.709 luma or luminance.
 pub fn luma(color: [f32; 3]) -> f32 {
     0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
 }
 
-/// The value that one in fifty exceeds.
+/// Returns the value that one in fifty values exceeds.
 fn high(values: &[f32]) -> f32 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f32::total_cmp);
@@ -151,7 +151,7 @@ fn balanced(light: &[f32], object: &[u8]) -> Vec<f32> {
     light.iter().zip(object).map(|(light, &number)| light / most[usize::from(number)].sqrt()).collect()
 }
 
-/// Of each pixel what `add` makes of those in the square around it that are of its object.
+/// Combines, for each pixel, the pixels of its object in the surrounding square with `add`.
 fn within<T: Clone + Default>(
     width: usize,
     height: usize,
@@ -173,7 +173,7 @@ fn within<T: Clone + Default>(
     sums
 }
 
-/// Regions of like albedo, by size; small ones go to a neighbor.
+/// Finds regions of similar albedo, sorted by size. Small regions are merged into a neighbor.
 fn objects(width: usize, height: usize, albedo: &[[f32; 3]]) -> Vec<u8> {
     const NONE: usize = usize::MAX;
     let mut region = vec![NONE; width * height];
@@ -231,7 +231,7 @@ fn normals(width: usize, height: usize, depth: &[f32], object: &[u8]) -> Vec<[f3
         let far = depth[at];
         [far * x, far * y, -far]
     };
-    // From the farthest pixel of the object on one side to that on the other, three away at most.
+    // Vector between the farthest pixels of the object on both sides, at most three away.
     let along = |at: usize, forth: usize, room: [usize; 2], step: usize| {
         let reach = |steps: usize, sign: isize| {
             (1..=steps.min(forth))
@@ -255,7 +255,7 @@ fn normals(width: usize, height: usize, depth: &[f32], object: &[u8]) -> Vec<[f3
     sums.into_iter().map(unit).collect()
 }
 
-/// The unit vector of a direction, towards the eye; of none it is that to the eye.
+/// Returns a unit vector that faces the eye. For a zero vector, returns the direction to the eye.
 fn unit(v: [f32; 3]) -> [f32; 3] {
     let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
     if !(length > 0.0 && length.is_finite()) {

@@ -1,18 +1,18 @@
 //! A small car, 4.1 m long.
 //!
-//! Local frame: x forward, y left, z up, the origin on the ground under the car's middle. The cabin is open: the driver's camera
-//! sits in it. Lights are discs and plates 1 cm before the solid body.
+//! Local frame: x forward, y left, z up, the origin on the ground under the car's center. The cabin is open for the driver's
+//! camera. Lights are discs and plates 1 cm in front of the solid body.
 
 use crate::sheet::{Point, Sheet, turn};
 
 const HALF_WIDTH: f64 = 0.86;
 
-/// An outline in (x, z), extruded over y = -half ..= half.
+/// Extrudes an outline in (x, z) over y = -half ..= half.
 fn extrude(sheet: &mut Sheet, outline: &[[f64; 2]], half: f64) {
     slab(sheet, outline, -half, half);
 }
 
-/// An outline in (x, z), counter-clockwise seen from -y, extruded from `right` to `left`.
+/// Extrudes an outline in (x, z), counterclockwise seen from -y, from `right` to `left`.
 fn slab(sheet: &mut Sheet, outline: &[[f64; 2]], right: f64, left: f64) {
     let corners: Vec<Point> = outline.iter().map(|p| [p[0], right, p[1]]).collect();
     sheet.prism(&corners, left - right);
@@ -48,7 +48,7 @@ pub fn body() -> String {
         slab(&mut sheet, &[[0.62, 0.9], [0.7, 0.9], [0.72, 1.0], [0.6, 1.0]], right, left);
     }
     sheet.material("fabric");
-    // Trim on the belt line, dashboard, seats' backs and head rests, and the steering wheel.
+    // Trim on the belt line, dashboard, backs and head rests of the seats, and the steering wheel.
     extrude(&mut sheet, &[[-1.55, 0.88], [0.85, 0.86], [0.85, 0.91], [-1.55, 0.93]], 0.76);
     extrude(&mut sheet, &[[0.52, 0.84], [0.88, 0.84], [0.88, 0.905], [0.6, 0.985], [0.5, 0.96]], 0.74);
     slab(&mut sheet, &[[0.54, 0.93], [0.72, 0.93], [0.64, 1.005], [0.56, 1.005]], 0.2, 0.52);
@@ -85,7 +85,7 @@ fn circle(x: f64, z: f64, radius: f64, sides: u32) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Dark panes, for a car that nobody looks out of.
+/// Dark panes, for a car without a camera inside.
 pub fn glass() -> String {
     let mut sheet = Sheet::new("g");
     sheet.put("# Panes of a parked car.");

@@ -1,22 +1,22 @@
-//! The route and what blinks on it.
+//! Route of the drive, and the blinking lights along it.
 //!
-//! In by the south approach, on the ring's centre line counter-clockwise to the west exit. The exit mirrors the entry in the
-//! line through the ring's centre that halves the arc driven.
+//! The route enters by the south approach and follows the center line of the ring counterclockwise to the west exit. The exit
+//! mirrors the entry in the line through the ring's center that halves the driven arc.
 
 use crate::sheet::{number, turn};
 use std::fmt::Write;
 
 /// Radius of the driven circle, m.
 const RADIUS: f64 = 14.6;
-/// Where the ring is entered and left, degrees about the centre.
+/// Angle at which the route enters the ring, followed by that at which it leaves, degrees about the center.
 const ENTER: f64 = -48.0;
 const LEAVE: f64 = 138.0;
-/// Duration of the drive, s: 120 frames at 10 a second.
+/// Duration of the drive, s: 120 frames at 10 per second.
 const DURATION: f64 = 11.9;
 /// Time between keys, s.
 const STEP: f64 = 0.35;
 
-/// A place on the route: x, y in metres, heading in degrees, unwrapped.
+/// A pose on the route: x, y in meters, heading in degrees, unwrapped.
 #[derive(Clone, Copy)]
 struct Pose {
     x: f64,
@@ -49,7 +49,7 @@ fn route(u: f64) -> Pose {
         return entry(4.0 * u);
     }
     if u > 0.75 {
-        // Mirror in the axis at half of the arc; the direction of travel turns round.
+        // Mirror in the axis at half of the arc. The direction of travel is reversed.
         let there = entry(4.0 * (1.0 - u));
         let axis = 0.5 * (ENTER + LEAVE);
         let (s, c) = turn(2.0 * axis);
@@ -64,7 +64,7 @@ fn route(u: f64) -> Pose {
     Pose { x: RADIUS * c, y: RADIUS * s, heading: angle + 90.0 }
 }
 
-/// The route by time: slower on the ring than on the approaches, `DURATION` in all.
+/// The route over time: slower on the ring than on the approaches, `DURATION` in total.
 fn timed() -> Vec<(f64, Pose)> {
     const FINE: u32 = 4000;
     let at = |k: u32| route(f64::from(k) / f64::from(FINE));

@@ -1,10 +1,10 @@
-//! A house of two storeys; its windows glow.
+//! A two-story house with glowing windows.
 //!
-//! Local frame: 10 m along x, 8 m along y, the front faces -y. Emitters lie 2 cm before the wall, on a white panel.
+//! Local frame: 10 m along x, 8 m along y, the front faces -y. Emitters lie 2 cm in front of the wall, on a white panel.
 
 use crate::sheet::{Point, Sheet};
 
-/// A window: centre on the wall (x along it, z up), and the material of its pane.
+/// A window: center on the wall (x along it, z up), and the material of its pane.
 type Window = (f64, f64, &'static str);
 
 const FRONT: [Window; 5] = [
@@ -17,7 +17,7 @@ const FRONT: [Window; 5] = [
 const SIDE: [Window; 3] = [(-2.0, 1.6, "window_warm"), (2.0, 4.2, "window_cool"), (-2.0, 4.2, "darkglass")];
 const BACK: [Window; 3] = [(-2.5, 1.6, "window_cool"), (2.5, 1.6, "darkglass"), (1.0, 4.2, "window_warm")];
 
-/// The house, seven polygons and its parts.
+/// The house: seven polygons and its parts.
 pub fn house() -> String {
     let mut sheet = Sheet::new("h");
     sheet.put("# A house, 10 m by 8 m, 8.2 m high; the front faces -y.");
@@ -27,11 +27,11 @@ pub fn house() -> String {
     sheet.prism(&outline, 10.0);
     sheet.material("roof");
     for side in [-1.0, 1.0] {
-        // 2 cm above the walls; the two slabs stay 6 mm apart at the ridge.
+        // 2 cm above the walls. The two slabs stay 6 mm apart at the ridge.
         let mut slab: Vec<Point> =
             [[0.003, 8.03], [4.5, 4.88], [4.58, 4.99], [0.003, 8.2]].map(|p| [5.4, side * p[0], p[1]]).to_vec();
         if side < 0.0 {
-            slab.reverse(); // counter-clockwise seen from +x again
+            slab.reverse(); // counterclockwise seen from +x again
         }
         sheet.prism(&slab, 10.8);
     }

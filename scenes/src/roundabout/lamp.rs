@@ -1,6 +1,6 @@
-//! Street lamps: pole, arm, head; the emitter hangs 5 mm below the head's closed housing.
+//! Street lamps: pole, arm, head. The emitter hangs 5 mm below the head's closed housing.
 //!
-//! Local frame: the pole at the origin, the arm towards +x (over the road), the luminous face at z = 8.
+//! Local frame: the pole at the origin, the arm toward +x (over the road), the luminous face at z = 8.
 
 use crate::sheet::{Sheet, polar};
 
@@ -22,7 +22,7 @@ pub fn body() -> String {
     sheet.rod([0.0, 0.0, HEIGHT - 0.12], [0.6, 0.0, HEIGHT + 0.06], 0.045, 4);
     sheet.rod([0.57, 0.0, HEIGHT + 0.057], [1.3, 0.0, HEIGHT + 0.09], 0.04, 4);
     sheet.material("black");
-    // Seen from above, counter-clockwise; its underside is 5 mm above the luminous face.
+    // Counterclockwise seen from above. Its underside is 5 mm above the luminous face.
     let z = HEIGHT + 0.135;
     let plan = [
         [1.2, -0.08, z],

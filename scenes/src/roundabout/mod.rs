@@ -1,11 +1,11 @@
-//! A foggy roundabout at night, driven through.
+//! A drive through a foggy roundabout at night.
 //!
-//! Right-hand traffic, four approaches a quarter turn apart, so that most of the street is one quarter under `-a 4 -rz 90`.
-//! Metres, z up, asphalt at z = 0, kerb tops and verges at 0.12; paint lies 5 mm above what it is painted on, and whatever stands
-//! on the ground reaches 5 cm or more into it, so that no two faces share a plane where they overlap.
+//! Right-hand traffic, four approaches a quarter turn apart, so that most of the street is one quarter under `-a 4 -rz 90`. Meters,
+//! z up, asphalt at z = 0, kerb tops and verges at 0.12. Paint lies 5 mm above the painted surface, and objects on the ground reach
+//! at least 5 cm into it, so that no two overlapping faces share a plane.
 //!
-//! Light: 40 lamps of 5000 lm, 8 m high, give about 20 lx on the carriageway and with 9 % reflectance 0.5 to 1 cd/m2.
-//! Fog: sigma_t = 3.912 / 250 m (Koschmieder's law at 2 % contrast, \[koschmieder1924\]): a visibility of 250 m.
+//! Light: 40 lamps of 5000 lm, 8 m high, give about 20 lx on the carriageway and with 9 % reflectance 0.5 to 1 cd/m2. Fog: sigma_t
+//! = 3.912 / 250 m (Koschmieder's law at 2 % contrast, \[koschmieder1924\]): a visibility of 250 m.
 
 mod car;
 mod drive;
@@ -280,7 +280,7 @@ xf
 o
 ";
 
-/// The files of the roundabout.
+/// Returns the files of the roundabout.
 pub fn files() -> Vec<SceneFile> {
     let scene = format!("{SCENE}\n{}", drive::blinking());
     [

@@ -1,9 +1,9 @@
-//! Plants of the roundabout, from few faces: a branch or a skirt, repeated by arrays that turn, shrink and climb.
+//! Plants of the roundabout, made of few faces: arrays repeat a branch or a skirt while they turn, shrink and climb.
 
 use crate::sheet::{Point, Sheet, add, polar, scale};
 use femc_math::hash::{mix32, unit_f32};
 
-/// Uniform in [-1, 1], by index: the same on every machine.
+/// Uniform number in [-1, 1] by index, equal on every machine.
 fn jitter(seed: u32, index: u32) -> f64 {
     2.0 * f64::from(unit_f32(mix32(mix32(seed) ^ index))) - 1.0
 }
@@ -28,7 +28,7 @@ pub fn tree() -> String {
     sheet.finish()
 }
 
-/// A planar kite of about `size`, turned at random.
+/// Returns a planar kite of about `size`, turned at random.
 fn kite(center: Point, size: f64, random: Point) -> [Point; 4] {
     // Two orthogonal directions from a yaw and a pitch.
     let (sy, cy) = crate::sheet::turn(180.0 * random[0]);

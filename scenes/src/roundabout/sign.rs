@@ -1,6 +1,6 @@
-//! Road signs: a grey plate, its coloured front 4 mm before it, each glyph 4 mm before what it stands on.
+//! Road signs: a gray plate, a colored front 4 mm in front of it, and each glyph 4 mm in front of its background.
 //!
-//! Outlines are drawn as the reader sees them, x to the right, z up, counter-clockwise; a sign faces -y.
+//! Outlines are drawn as the reader sees them, x to the right, z up, counterclockwise. A sign faces -y.
 
 use crate::sheet::{Point, Sheet, turn};
 
@@ -20,7 +20,7 @@ fn rectangle(half_width: f64, half_height: f64) -> Outline {
 }
 
 fn triangle(size: f64) -> Outline {
-    // Standing on its tip: give way.
+    // A triangle on its tip: give way.
     vec![[0.0, -size], [0.866 * size, 0.5 * size], [-0.866 * size, 0.5 * size]]
 }
 
@@ -37,13 +37,13 @@ fn standing(outline: &[[f64; 2]], y: f64, z: f64) -> Vec<Point> {
     outline.iter().map(|p| [p[0], y, p[1] + z]).collect()
 }
 
-/// A sign in its own frame: the posts' foot at the origin, layers from back to front.
+/// A sign in its own frame: the foot of the posts at the origin, layers from back to front.
 struct Sign {
-    /// Height of the plate's centre, m.
+    /// Height of the plate's center, m.
     height: f64,
     /// x of the posts, m.
     posts: &'static [f64],
-    /// Plate, then (material, outline) by layer; outlines of one layer do not overlap.
+    /// Plate, followed by (material, outline) of each layer. Outlines of one layer do not overlap.
     plate: Outline,
     layers: Vec<(&'static str, Vec<Outline>)>,
 }
@@ -78,9 +78,9 @@ fn give_way() -> Sign {
     }
 }
 
-/// Hangs below another sign, on its post.
+/// A sign that hangs below another sign, on its post.
 fn roundabout() -> Sign {
-    // Three arrows that chase each other.
+    // Three arrows that follow each other.
     let one = [[0.05, 0.21], [-0.1, 0.21], [-0.1, 0.27], [-0.2, 0.17], [-0.1, 0.07], [-0.1, 0.13], [0.05, 0.13]];
     let arrows = [0.0, 120.0, 240.0].map(|a| turned(&one, a)).to_vec();
     Sign { height: 1.2, posts: &[], plate: disc(0.32), layers: vec![("blue", vec![disc(0.32)]), ("white", arrows)] }
@@ -129,7 +129,7 @@ fn speed_limit() -> Sign {
     }
 }
 
-/// The advance direction board: the roundabout as a ring with three ways out.
+/// The advance direction board: the roundabout as a ring with three exits.
 fn directions() -> Sign {
     let ring: Vec<Outline> = (0..12)
         .filter(|k| ![2, 5, 8, 11].contains(k))
@@ -146,7 +146,7 @@ fn directions() -> Sign {
     let mut white: Vec<Outline> = ring;
     white.extend([0.0, 90.0, -90.0].map(|a| turned(&way, a)));
     white.push(moved(&rectangle(0.05, 0.15), 0.0, -0.5));
-    // Lines of lettering, too far to read.
+    // Lines of lettering, too small to read.
     white.extend([(0.62, 0.55), (-0.75, -0.35), (0.75, -0.35)].map(|(x, z)| moved(&rectangle(0.28, 0.06), x, z)));
     Sign {
         height: 2.2,
@@ -174,7 +174,7 @@ pub fn approach(sheet: &mut Sheet) {
     }
 }
 
-/// A board of chevrons to the right, on the island before each approach.
+/// A board of chevrons to the right, on the island in front of each approach.
 pub fn chevrons(sheet: &mut Sheet) {
     let chevron = |x: f64| -> [Outline; 2] {
         let (w, h) = (0.2, 0.24);

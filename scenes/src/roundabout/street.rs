@@ -1,22 +1,23 @@
 //! Carriageway, kerbs, markings and the islands.
 //!
-//! The kerb line of a quarter runs from the south approach's right edge by a 12 m fillet to the ring's outer circle and, mirrored,
-//! to the east approach's edge; everything outside it is offset from it along its normal.
+//! The kerb line of a quarter runs from the right edge of the south approach through a 12 m fillet to the ring's outer circle and,
+//! mirrored, to the edge of the east approach. Everything outside is offset from it along its normal.
 
 use super::sign;
 use crate::sheet::{Point, Sheet, polar, scale, turn};
 
 /// Half width of an approach, m.
 const HALF: f64 = 4.0;
-/// Outer radius of the ring, inner radius of the ring, radius of the island, m.
+/// Outer radius of the ring, followed by the inner radius of the ring and the radius of the island, m.
 const OUTER: f64 = 18.0;
 const INNER: f64 = 11.5;
 const ISLAND: f64 = 10.0;
-/// Where the world ends, m.
+/// Distance of the edge of the world, m.
 const EDGE: f64 = 105.0;
-/// Radius of the fillet, and how far out its centre lies: (HALF + FILLET)^2 + REACH^2 = (OUTER + FILLET)^2.
+/// Radius of the fillet, followed by the distance of its center along the approach: (HALF + FILLET)^2 + REACH^2 = (OUTER +
+/// FILLET)^2.
 const FILLET: f64 = 12.0;
-/// Top of the kerbs and the ground behind them; paint on the asphalt.
+/// Height of the kerbs and the ground behind them, followed by that of paint on the asphalt.
 const KERB: f64 = 0.12;
 const PAINT: f64 = 0.005;
 
@@ -24,14 +25,15 @@ fn reach() -> f64 {
     ((OUTER + FILLET).powi(2) - (HALF + FILLET).powi(2)).sqrt()
 }
 
-/// Angle between the approach's axis and the point where the fillet meets the ring.
+/// Returns the angle between the approach's axis and the point where the fillet meets the ring.
 fn mouth() -> f64 {
     femc_math::elementary::double::atan2(HALF + FILLET, reach()).to_degrees()
 }
 
-/// Place and outward normal (away from the road) along the south approach's right side, from the approach to the ring.
+/// Returns points with outward normals (away from the road) along the right side of the south approach, from the approach to the
+/// ring.
 fn fillet(steps: u32) -> Vec<[f64; 4]> {
-    // Seen from the fillet's centre the arc goes from 180 degrees down to the direction of the ring's centre.
+    // Seen from the fillet's center, the arc goes from 180 degrees down to the direction of the ring's center.
     let last = 90.0 + mouth();
     (0..=steps)
         .map(|k| {
@@ -41,7 +43,7 @@ fn fillet(steps: u32) -> Vec<[f64; 4]> {
         .collect()
 }
 
-/// The kerb line of the south-east quarter with its outward normals.
+/// Returns the kerb line of the south-east quarter with its outward normals.
 fn kerb_line() -> Vec<[f64; 4]> {
     let mut half: Vec<[f64; 4]> = [EDGE, 85.0, 65.0, 50.0, 38.0, 31.0].map(|y| [HALF, -y, 1.0, 0.0]).to_vec();
     half.extend(fillet(8));
@@ -59,7 +61,7 @@ fn offset(at: [f64; 4], by: f64, z: f64) -> Point {
     [at[0] + by * at[2], at[1] + by * at[3], z]
 }
 
-/// Asphalt: the ring and the approaches, one quarter four times.
+/// Asphalt: the ring and the approaches, one quarter repeated four times.
 pub fn carriageway() -> String {
     let mut sheet = Sheet::new("a");
     sheet.put("# Asphalt, z = 0.");
@@ -127,7 +129,7 @@ fn verge(sheet: &mut Sheet) {
     sheet.face(&outline);
 }
 
-/// The splitter island in two parts, a crossing between them.
+/// Adds the splitter island: two parts with a crossing between them.
 fn splitter(sheet: &mut Sheet) {
     let parts: [&[[f64; 2]]; 2] = [
         &[[1.35, -20.4], [1.0, -20.0], [-1.0, -20.0], [-1.35, -20.4], [-1.05, -24.0], [1.05, -24.0]],
@@ -160,7 +162,7 @@ fn bar(sheet: &mut Sheet, low: [f64; 2], high: [f64; 2]) {
     ]);
 }
 
-/// A flat outline on the asphalt, placed at (x, y).
+/// Adds a flat outline on the asphalt at (x, y).
 fn glyph(sheet: &mut Sheet, outline: &[[f64; 2]], x: f64, y: f64) {
     let corners: Vec<Point> = outline.iter().map(|p| [p[0] + x, p[1] + y, PAINT]).collect();
     sheet.face(&corners);
@@ -173,7 +175,7 @@ fn markings(sheet: &mut Sheet) {
         bar(sheet, [x, -27.5], [x + 0.5, -24.5]);
         bar(sheet, [-x - 0.5, -27.5], [-x, -24.5]);
     }
-    // Centre dashes and edge lines of the approach.
+    // Center dashes and edge lines of the approach.
     sheet.push("-a 7 -t 0 -9 0");
     bar(sheet, [-0.06, -43.0], [0.06, -40.0]);
     sheet.close();
@@ -183,7 +185,7 @@ fn markings(sheet: &mut Sheet) {
     }
     let arrow = [[-0.07, 0.0], [0.07, 0.0], [0.07, 2.2], [0.3, 2.2], [0.0, 3.4], [-0.3, 2.2], [-0.07, 2.2]];
     glyph(sheet, &arrow, 2.1, -48.0);
-    // Give-way teeth across the entry, pointing at the driver, and the broken line across the exit.
+    // Give-way teeth across the entry, which point at the driver, and the broken line across the exit.
     for k in 0..6 {
         let middle = -84.0 + 3.4 * f64::from(k);
         let tip = 18.95;
@@ -281,7 +283,7 @@ mod tests {
             let (dx, dy) = (p[1][0] - p[0][0], p[1][1] - p[0][1]);
             let length = (dx * dx + dy * dy).sqrt();
             assert!(length > 0.1, "two points coincide");
-            // Travelling along the line, the outside is on the right.
+            // In the direction of travel along the line, the outside is on the right.
             let sine = (p[0][2] * dx + p[0][3] * dy) / length;
             let side = (p[0][2] * dy - p[0][3] * dx) / length;
             assert!(side > 0.98 && sine.abs() < 0.15, "{p:?}");

@@ -1,4 +1,4 @@
-//! Which mutants there are, and which were drawn.
+//! Lists all mutants and draws a random sample of them.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,7 +12,7 @@ use rand::rngs::SmallRng;
 use rand::seq::SliceRandom as _;
 use serde::Deserialize;
 
-/// The sources that are mutated.
+/// Source files that are mutated.
 const FILES: [&str; 9] = [
     "farm/schedule/src/**/*.rs",
     "farm/queue/src/**/*.rs",
@@ -25,14 +25,14 @@ const FILES: [&str; 9] = [
     "worker/src/session.rs",
 ];
 
-/// A place in a file: line and column from 1 on.
+/// Position in a file: line and column, counted from 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 pub struct Place {
     pub line: usize,
     pub column: usize,
 }
 
-/// From a place up to another.
+/// Range in a file, from its start position to its end position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 pub struct Extent {
     pub start: Place,
@@ -44,7 +44,7 @@ struct Function {
     function_name: String,
 }
 
-/// As `cargo mutants --list --json` has it.
+/// Entry of the output of `cargo mutants --list --json`.
 #[derive(Debug, Deserialize)]
 struct Listed {
     name: String,
@@ -56,10 +56,10 @@ struct Listed {
     replacement: String,
 }
 
-/// A small change of the sources.
+/// A small change to the sources.
 #[derive(Debug, Clone)]
 pub struct Mutant {
-    /// Says it without line numbers, which move: file, function, change, and the how manieth of its like.
+    /// Key without line numbers, because these change: file, function, change, and a running number among equal ones.
     pub key: String,
     pub package: String,
     pub file: String,
@@ -68,7 +68,7 @@ pub struct Mutant {
     pub replacement: String,
 }
 
-/// All mutants of the sources at `root`.
+/// Lists all mutants of the sources at `root`.
 pub fn all(root: &Path) -> anyhow::Result<Vec<Mutant>> {
     let mut command = Command::new("cargo");
     command.args(["mutants", "--list", "--json"]).current_dir(root);
@@ -93,7 +93,7 @@ fn mutant(listed: Listed, times: &mut BTreeMap<String, u32>) -> Mutant {
     Mutant { key: format!("{like}\t{time}"), package, file, genre, extent: span, replacement }
 }
 
-/// So many of them.
+/// Draws `count` of the mutants at random.
 pub fn draw(mut all: Vec<Mutant>, seed: u64, count: usize) -> Vec<Mutant> {
     all.shuffle(&mut SmallRng::seed_from_u64(seed));
     all.truncate(count);
@@ -101,18 +101,18 @@ pub fn draw(mut all: Vec<Mutant>, seed: u64, count: usize) -> Vec<Mutant> {
     all
 }
 
-/// Keeps a list.
+/// Writes a list of mutants to a file.
 pub fn write(path: &Path, seed: u64, mutants: &[Mutant]) -> io::Result<()> {
     let mut text =
         format!("# {} mutants, drawn with seed {seed}: file, function, change, number among its like\n", mutants.len());
     for mutant in mutants {
-        // Writing into a string does not fail.
+        // Writing into a string cannot fail.
         let _ = writeln!(text, "{}", mutant.key);
     }
     fs::write(path, text)
 }
 
-/// The keys of a list.
+/// Reads the keys of a list.
 pub fn read(path: &Path) -> anyhow::Result<Vec<String>> {
     let text = fs::read_to_string(path).with_context(|| format!("{}; `mutants draw` makes it", path.display()))?;
     Ok(text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect())

@@ -1,15 +1,15 @@
-//! Mutants: does the proof see small errors? Every mutant of a list that was drawn at random is tried against the tests of its
-//! crate, and if these see nothing, against simulated farms.
+//! Mutation testing of the farm: checks whether tests and simulation detect small errors. Each mutant of a randomly drawn list is
+//! run against the tests of its crate. If these do not detect it, simulated farms run it.
 //!
 //! ```sh
 //! cargo install cargo-mutants --locked
 //! cargo run --release -p femc-sim --example mutants -- draw --seed 11 --count 300    # writes sim/mutants/list
-//! tests/postgres cargo run --release -p femc-sim --example mutants -- run            # goes on where it was stopped
+//! tests/postgres cargo run --release -p femc-sim --example mutants -- run            # resumes after an interruption
 //! ```
 //!
-//! `cargo mutants --list` says what may be changed. All mutants of the list are built at once, each behind a switch that the
-//! environment variable `FEMC_MUTANT` throws ([`weave`]): one build instead of three hundred. That happens in a worktree under
-//! the target directory; the checkout stays as it is.
+//! `cargo mutants --list` lists the possible changes. All mutants of the list are compiled in one build instead of three hundred:
+//! each sits behind a switch that the environment variable `FEMC_MUTANT` turns on ([`weave`]). The build uses a worktree under the
+//! target directory. The checkout does not change.
 
 mod list;
 mod trial;
@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 
-/// Tries mutants of the farm against its tests and simulated worlds
+/// Runs mutants of the farm against its tests and simulated worlds
 #[derive(Debug, Parser)]
 struct Args {
     #[command(subcommand)]
@@ -31,14 +31,14 @@ struct Args {
 enum Action {
     /// Draw a list of mutants at random and write it
     Draw {
-        /// Decides which
+        /// Seed of the draw
         #[arg(long, default_value_t = 11)]
         seed: u64,
-        /// How many
+        /// Number of mutants
         #[arg(long, default_value_t = 300)]
         count: usize,
     },
-    /// Try the mutants of the list that have no verdict yet
+    /// Run the mutants of the list that have no verdict yet
     Run(trial::Asked),
 }
 
@@ -57,7 +57,7 @@ fn main() -> anyhow::Result<()> {
     }
 }
 
-/// Where everything is built and kept.
+/// Returns the folder for builds and results.
 fn target(root: &Path) -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from)
 }

@@ -1,4 +1,4 @@
-//! Trying mutants, several at a time.
+//! Runs mutants, several in parallel.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, OpenOptions};
@@ -15,27 +15,28 @@ use serde::Deserialize;
 use crate::list::{self, Mutant};
 use crate::weave::{self, Woven};
 
-/// What is to be tried.
+/// Arguments of the `run` command.
 #[derive(Debug, Args)]
 pub struct Asked {
-    /// Try the sources of this commit instead of those of the checkout
+    /// Use the sources of this commit instead of the checkout
     #[arg(long, value_name = "COMMIT")]
     at: Option<String>,
-    /// The verdicts, a line each; what has one is not tried again [default: mutants/verdicts under the target directory]
+    /// File of verdicts, one per line; mutants listed there are not run again [default: mutants/verdicts under the target
+    /// directory]
     #[arg(long, value_name = "FILE")]
     verdicts: Option<PathBuf>,
-    /// Try those again that survived
+    /// Run surviving mutants again
     #[arg(long)]
     again: bool,
-    /// Mutants that are tried side by side
+    /// Number of mutants that run in parallel
     #[arg(long, default_value_t = 2)]
     jobs: usize,
-    /// Worlds that each must live through
+    /// Number of worlds for each mutant
     #[arg(long, default_value_t = 20)]
     seeds: u64,
 }
 
-/// The crates whose sources are mutated, and where they lie.
+/// Crates whose sources are mutated, with their folders.
 const CRATES: [(&str, &str); 5] = [
     ("femc-schedule", "farm/schedule"),
     ("femc-queue", "farm/queue"),
@@ -44,13 +45,14 @@ const CRATES: [(&str, &str); 5] = [
     ("femc-worker", "worker"),
 ];
 
-/// Tests and worlds take longer for some mutants; who takes so many times as long, and this, hangs.
+/// Time limit of a mutant: a multiple of the usual duration, plus a constant, because some mutants slow tests and worlds down. A
+/// mutant that exceeds it counts as hanging.
 const PATIENCE: (u32, Duration) = (4, Duration::from_secs(20));
 
-/// The verdict on a mutant that is none.
+/// Verdict on a mutant that does not compile.
 const BROKEN: &str = "does not compile";
 
-/// Tries those of the list that have no verdict.
+/// Runs the mutants of the list that have no verdict.
 pub fn run(root: &Path, list: &Path, asked: &Asked) -> anyhow::Result<()> {
     let home = crate::target(root).join("mutants");
     let tree = check_out(root, &home, asked.at.as_deref())?;
@@ -86,7 +88,7 @@ pub fn run(root: &Path, list: &Path, asked: &Asked) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The sources in a worktree that is always at the same place, so that what was built there is of use the next time.
+/// Checks the sources out into a worktree at a fixed path, so that its build can be reused.
 fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<PathBuf> {
     let git = |arguments: &[&str]| -> anyhow::Result<String> {
         let ran = Command::new("git").arg("-C").arg(root).args(arguments).output()?;
@@ -95,7 +97,7 @@ fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<PathB
     };
     let commit = match at {
         Some(commit) => commit.to_owned(),
-        // The checkout's, not the worktree's own.
+        // Use the state of the checkout, not that of the worktree.
         None => match git(&["stash", "create"])? {
             unchanged if unchanged.is_empty() => git(&["rev-parse", "HEAD"])?,
             changed => changed,
@@ -113,13 +115,13 @@ fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<PathB
     Ok(tree)
 }
 
-/// What was built.
+/// Executables of one build.
 #[derive(Debug, Default)]
 struct Built {
-    /// By crate.
+    /// Test executables by crate.
     tests: BTreeMap<String, Vec<PathBuf>>,
     simulation: PathBuf,
-    /// Numbers of the mutants that are in it.
+    /// Numbers of the mutants in this build.
     within: BTreeSet<usize>,
 }
 
@@ -145,8 +147,8 @@ struct Spot {
     is_primary: bool,
 }
 
-/// Weaves and builds until it compiles: mutants that do not are taken out.
-/// - `out`: of which that is known.
+/// Weaves the mutants into the sources and builds them. Drops mutants that do not compile and repeats until the build succeeds.
+/// - `out`: mutants that are known not to compile.
 fn build(tree: &Path, home: &Path, mutants: &[(usize, Mutant)], mut out: BTreeSet<usize>) -> anyhow::Result<Built> {
     let sources = sources(tree, mutants)?;
     loop {
@@ -201,7 +203,7 @@ fn sources(tree: &Path, mutants: &[(usize, Mutant)]) -> anyhow::Result<BTreeMap<
 fn cargo(tree: &Path, home: &Path, arguments: &[&str]) -> anyhow::Result<(Vec<Message>, bool)> {
     let mut command = Command::new("cargo");
     command.args(arguments).args(["--message-format", "json", "--quiet"]).current_dir(tree);
-    // Hundreds of switches make parentheses that nobody needs.
+    // Warnings arrive as JSON and are not printed. The switches cause hundreds of warnings about needless parentheses.
     let output = command.env("CARGO_TARGET_DIR", home.join("build")).stderr(Stdio::inherit()).output()?;
     let lines = output.stdout.split(|&byte| byte == b'\n').filter(|line| line.starts_with(b"{"));
     let messages = lines.map(serde_json::from_slice).collect::<Result<_, _>>()?;
@@ -226,22 +228,22 @@ fn found(messages: Vec<Message>, within: BTreeSet<usize>) -> anyhow::Result<Buil
     Ok(built)
 }
 
-/// How mutants are tried.
+/// Executables and time limits for running mutants.
 struct Trial<'a> {
     tree: &'a Path,
     built: Built,
     seeds: u64,
-    /// Of the tests of a crate, and of the worlds.
+    /// Usual duration of the tests of each crate, and of the worlds.
     usual: BTreeMap<String, Duration>,
 }
 
-/// The name under which the worlds' time is kept.
+/// Key of the worlds' duration in [`Trial::usual`].
 const WORLDS: &str = "simulation";
 
 impl<'a> Trial<'a> {
-    /// Finds out how long it takes when nothing is wrong.
+    /// Measures the usual durations, without any mutant.
     fn new(tree: &'a Path, mut built: Built, seeds: u64) -> anyhow::Result<Self> {
-        // The large ones are those with processes and clocks.
+        // Run small test executables first: the large ones start processes and wait for clocks.
         let size = |path: &PathBuf| fs::metadata(path).map_or(0, |found| found.len());
         built.tests.values_mut().for_each(|tests| tests.sort_by_key(size));
         let mut trial = Self { tree, built, seeds, usual: BTreeMap::new() };
@@ -273,7 +275,7 @@ impl<'a> Trial<'a> {
         }
     }
 
-    /// What is quicker goes first.
+    /// Runs one mutant and returns its verdict. Tests or worlds run first, whichever are faster.
     fn verdict(&self, number: usize, mutant: &Mutant) -> anyhow::Result<String> {
         let by_worlds = || -> anyhow::Result<Option<String>> {
             let lives = self.worlds(number, self.most(WORLDS))?;
@@ -293,14 +295,14 @@ impl<'a> Trial<'a> {
         self.usual.get(name).copied().unwrap_or_default() * times + more
     }
 
-    /// The test that sees the mutant.
+    /// Returns the test that detects the mutant.
     fn tests(&self, package: &str, number: usize, most: Duration) -> anyhow::Result<Option<String>> {
         let Some((_, folder)) = CRATES.iter().find(|(name, _)| *name == package) else { return Ok(None) };
         let begun = Instant::now();
         for test in self.built.tests.get(package).into_iter().flatten() {
             let mut command = Command::new(test);
             command.arg("--quiet").current_dir(self.tree.join(folder));
-            // On a machine with other load a test may fail for want of time: what fails twice, fails. One that hangs, hangs.
+            // On a busy machine, a test may fail for lack of time, so a test must fail twice. A test that hangs is not repeated.
             let mut passes = || passes(&mut command, number, most.saturating_sub(begun.elapsed()));
             if !passes()? && (begun.elapsed() >= most || !passes()?) {
                 let name = test.file_name().unwrap_or_default().to_string_lossy();
@@ -317,7 +319,7 @@ impl<'a> Trial<'a> {
     }
 }
 
-/// Whether it ends well, and in time.
+/// Runs a command. Returns whether it succeeded within the time limit.
 fn passes(command: &mut Command, number: usize, most: Duration) -> anyhow::Result<bool> {
     command.env("FEMC_MUTANT", number.to_string()).env("PROPTEST_MAX_SHRINK_ITERS", "0");
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
@@ -327,7 +329,7 @@ fn passes(command: &mut Command, number: usize, most: Duration) -> anyhow::Resul
             return Ok(status.success());
         }
         if begun.elapsed() > most {
-            // One that has ended in this moment is as good.
+            // The process may just have ended, which is fine.
             let _ = child.kill();
             child.wait()?;
             return Ok(false);
@@ -349,7 +351,7 @@ fn save(path: &Path, verdicts: &Verdicts) -> anyhow::Result<()> {
     fs::write(path, lines).with_context(|| path.display().to_string())
 }
 
-/// Mutants that may survive: after the key of each comes why, on lines that are indented.
+/// Reads the keys of mutants that may survive. Indented lines below each key give the reason.
 fn read_explained(path: &Path) -> anyhow::Result<BTreeSet<String>> {
     let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
     Ok(text.lines().filter(|line| !line.starts_with([' ', '#']) && !line.is_empty()).map(str::to_owned).collect())

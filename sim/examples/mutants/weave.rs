@@ -1,4 +1,4 @@
-//! All mutants in one text, each behind its switch.
+//! Combines all mutants of a file in one text, each behind its own switch.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -9,7 +9,7 @@ use syn::visit::{self, Visit};
 
 use crate::list::{Extent, Mutant, Place};
 
-/// What every woven crate gets: whether the environment throws the switch of this number.
+/// Code that is added to every woven crate. It tells whether the environment turns the switch of a given number on.
 pub const SWITCH: &str = "\npub(crate) mod mutant_switch {
     pub(crate) fn on(number: usize) -> bool {
         static THROWN: std::sync::LazyLock<usize> = std::sync::LazyLock::new(|| {
@@ -19,16 +19,16 @@ pub const SWITCH: &str = "\npub(crate) mod mutant_switch {
     }
 }\n";
 
-/// A woven text, and which of its bytes come from which mutant.
+/// A woven text, with the byte ranges of its mutants.
 #[derive(Debug, Default)]
 pub struct Woven {
     pub text: String,
     pub origins: Vec<(Range<usize>, usize)>,
-    /// Numbers of the mutants that are in it.
+    /// Numbers of the mutants in the text.
     pub within: Vec<usize>,
 }
 
-/// Something that takes the place of a part of the source.
+/// A replacement of a part of the source.
 #[derive(Debug, Clone)]
 struct Edit {
     number: usize,
@@ -39,12 +39,12 @@ struct Edit {
 #[derive(Debug, Clone)]
 enum Piece {
     New(String),
-    /// A part of the source, with the other edits in it.
+    /// Part of the source, with the other edits applied to it.
     Old(Range<usize>),
 }
 
-/// Puts the mutants of a file into its source; those are left out whose place is not found.
-/// - `mutants`: with their numbers, from 1 on.
+/// Weaves the mutants of a file into its source. Skips mutants whose position is not found.
+/// - `mutants`: with their numbers, from 1.
 pub fn weave(source: &str, mutants: &[(usize, &Mutant)]) -> syn::Result<Woven> {
     let file = syn::parse_file(source)?;
     let mut found = Found::default();
@@ -58,7 +58,7 @@ pub fn weave(source: &str, mutants: &[(usize, &Mutant)]) -> syn::Result<Woven> {
 impl Woven {
     fn render(&mut self, source: &str, at: Range<usize>, edits: &[&Edit]) {
         let mut from = at.start;
-        // Outermost first; of two at the same place one is within the other.
+        // Outermost edits first. Of two edits at one position, one contains the other.
         let mut inside: Vec<&Edit> =
             edits.iter().filter(|edit| at.start <= edit.at.start && edit.at.end <= at.end).copied().collect();
         inside.sort_by_key(|edit| (edit.at.start, std::cmp::Reverse(edit.at.end), edit.number));
@@ -76,32 +76,32 @@ impl Woven {
                 }
             }
             self.origins.push((begin..self.text.len(), edit.number));
-            // An insertion takes the place of nothing, and others may follow at the same place.
+            // An insertion replaces nothing, so more edits may follow at the same position.
             from = edit.at.end;
         }
         self.text.push_str(&source[from..at.end]);
     }
 
-    /// The mutant that a byte comes from, the innermost.
+    /// Returns the innermost mutant that a byte comes from.
     pub fn origin(&self, byte: usize) -> Option<usize> {
         let around = self.origins.iter().filter(|(range, _)| range.contains(&byte));
         around.min_by_key(|(range, _)| range.len()).map(|&(_, number)| number)
     }
 }
 
-/// What of a file may be mutated, by its place.
+/// Parts of a file that can be mutated, by position.
 #[derive(Debug, Default)]
 struct Found {
-    /// Bodies of functions, but of those whose result is of a type that only the body knows.
+    /// Bodies of functions, except functions that return `impl Trait`: only their body knows the type.
     bodies: Vec<Range<usize>>,
-    /// By the place of the operator: left, right, all.
+    /// Left operand, right operand and whole expression, by position of the operator.
     binary: BTreeMap<usize, [Range<usize>; 3]>,
-    /// By the place of the operator: operand, all.
+    /// Operand and whole expression, by position of the operator.
     unary: BTreeMap<usize, [Range<usize>; 2]>,
-    /// By the place of the arm: pattern, guard.
+    /// Pattern and guard, by position of the match arm.
     arms: BTreeMap<usize, (Range<usize>, Option<Range<usize>>)>,
     guards: Vec<Range<usize>>,
-    /// By the place of the field: field and what follows up to the next, all.
+    /// Field up to the next field, and whole expression, by position of the field.
     fields: BTreeMap<usize, [Range<usize>; 2]>,
 }
 
@@ -126,7 +126,7 @@ impl<'ast> Visit<'ast> for Found {
     }
 
     fn visit_expr_binary(&mut self, expr: &'ast syn::ExprBinary) {
-        // A condition with `let` in it cannot be put into parentheses.
+        // A condition that contains `let` cannot be put into parentheses.
         if !has_let(&expr.left) && !has_let(&expr.right) {
             let parts = [expr.left.span(), expr.right.span(), expr.span()].map(bytes);
             self.binary.insert(bytes(expr.op.span()).start, parts);
@@ -184,7 +184,7 @@ impl Found {
         let replacement = &mutant.replacement;
         let (at, pieces) = match mutant.genre.as_str() {
             "FnValue" => {
-                // The extent is the body's, with its braces or without.
+                // The extent covers the body with or without its braces.
                 let body = self.bodies.iter().filter(|body| body.start <= start && end <= body.end);
                 let body = body.min_by_key(|body| body.len()).filter(|body| is_all(source, body, start..end))?;
                 let first = body.start + 1;
@@ -251,13 +251,13 @@ impl Found {
     }
 }
 
-/// Whether this part of a body is all that is between its braces.
+/// Checks whether this part of a body is everything between its braces.
 fn is_all(source: &str, body: &Range<usize>, part: Range<usize>) -> bool {
     let rest = [source.get(body.start + 1..part.start), source.get(part.end..body.end - 1)];
     rest.iter().all(|rest| rest.is_none_or(|rest| rest.trim().is_empty() || rest.trim_start().starts_with("//")))
 }
 
-/// Place in bytes; columns count characters from 1 on.
+/// Converts a position to a byte offset. Columns count characters from 1.
 fn byte(source: &str, place: Place) -> Option<usize> {
     let start = match place.line {
         1 => 0,

@@ -1,4 +1,4 @@
-//! What is known of jobs that have ended, until they are audited.
+//! Ended jobs that wait for their audit.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,18 +12,18 @@ use crate::audit::{Violation, log, noted};
 use crate::shared::{Reports, Shared, State};
 use crate::tasks::job_of;
 
-/// Longer than any message can be on its way.
+/// Longer than any message travels.
 const SETTLED: Duration = Duration::from_secs(120);
 
 #[derive(Debug, Default)]
 struct Pages {
-    /// When the jobs ended that are not audited yet.
+    /// End times of the jobs that are not audited yet.
     ended: BTreeMap<JobId, Duration>,
-    /// All jobs up to this one are audited.
+    /// Last audited job. All earlier jobs are audited, too.
     audited: u64,
 }
 
-/// Clones share it.
+/// List of ended jobs. Clones share it.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Book(Arc<Mutex<Pages>>);
 
@@ -32,18 +32,18 @@ impl Book {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A job has ended, and nobody will do anything to it any more.
+    /// Notes that a job has ended and nobody will control it any more.
     pub(super) fn ended(&self, job: JobId, now: Duration) {
         self.lock().ended.insert(job, now);
     }
 
-    /// Jobs that have ended so far.
+    /// Returns the number of jobs that have ended so far.
     pub(super) fn jobs(&self) -> u64 {
         let pages = self.lock();
         pages.audited + pages.ended.len() as u64
     }
 
-    /// Audits the jobs that ended long before `now`, in order of their numbers; then nothing is kept of them.
+    /// Audits the jobs that ended long before `now`, in the order of their numbers, and drops their data.
     pub(super) fn settle(&self, shared: &Shared, now: Duration) {
         let mut pages = self.lock();
         let before = pages.audited;
@@ -61,7 +61,7 @@ impl Book {
     }
 }
 
-/// Takes out what is known of the jobs up to `last`; what is wrong with it.
+/// Removes the data of the jobs up to `last`, and returns the violations in it.
 fn close(state: &mut State, last: JobId) -> Vec<Violation> {
     let mut records = Vec::new();
     for record in std::mem::take(&mut state.disk.history) {
@@ -87,7 +87,7 @@ fn close(state: &mut State, last: JobId) -> Vec<Violation> {
     wrong
 }
 
-/// Takes out those of the jobs up to `last`.
+/// Removes and returns the reports of the jobs up to `last`.
 fn take(reports: &mut Reports, last: JobId) -> Reports {
     let (taken, left) = std::mem::take(reports).into_iter().partition(|(task, _)| task.job <= last);
     *reports = left;

@@ -1,4 +1,4 @@
-//! The size of the farm from time to time, and whether it stays as it is.
+//! Measures the size of the farm from time to time, and checks that it does not grow.
 
 use std::time::Duration;
 
@@ -10,23 +10,23 @@ use crate::audit::Violation;
 use crate::shared::Shared;
 use crate::shelf::Shelf;
 
-/// A farm that stays as it is may seem so much larger in its second half, in percent.
+/// Permitted increase from the first to the second half of the measurements, in percent.
 const TOLERANCE: u64 = 5;
-/// A life shorter than this says nothing about growth.
+/// Shortest run whose growth is checked.
 const LEAST: Duration = Duration::from_secs(4 * 3600);
 
 /// One measurement.
 #[derive(Debug, Clone, Serialize)]
 pub struct Gauge {
-    /// Simulated.
+    /// Simulated hours.
     pub hours: f64,
-    /// Real.
+    /// Real seconds.
     pub seconds: f64,
-    /// Resident memory of the process: all hosts, the network, the audit; 0 where the system does not tell.
+    /// Resident memory of the process: all hosts, the network, the audit; 0 where the system does not report it.
     pub resident_bytes: u64,
-    /// Ends of connections that the simulated network keeps, also of attempts that were refused or given up.
+    /// Connection ends that the simulated network keeps, including refused and abandoned attempts.
     pub ends: u64,
-    /// Jobs that have ended so far.
+    /// Number of jobs that have ended so far.
     pub jobs_ended: u64,
     /// Jobs in the ledger.
     pub jobs_kept: u64,
@@ -36,7 +36,7 @@ pub struct Gauge {
     pub snapshots: u32,
     /// Artifacts in the store.
     pub artifacts: u64,
-    /// Their bytes.
+    /// Bytes of all artifacts in the store.
     pub artifact_bytes: u64,
     /// Records that the audit keeps.
     pub audited_records: u64,
@@ -45,7 +45,7 @@ pub struct Gauge {
 }
 
 impl Gauge {
-    /// Reads the disks.
+    /// Measures the disks and the memory.
     pub(super) fn read(
         now: Duration,
         real: Duration,
@@ -75,10 +75,10 @@ impl Gauge {
     }
 }
 
-/// Of a measurement.
+/// Reads one quantity of a measurement.
 type Reading = fn(&Gauge) -> u64;
 
-/// What should stay as it is, and how much of it is nothing.
+/// Quantities that should stay constant, each with its name and an increase that is always permitted.
 const STEADY: [(&str, Reading, u64); 5] = [
     ("resident bytes", |gauge| gauge.resident_bytes, 4 << 20),
     ("jobs in the ledger", |gauge| gauge.jobs_kept, 5),
@@ -87,8 +87,8 @@ const STEADY: [(&str, Reading, u64); 5] = [
     ("records of the audit", |gauge| gauge.audited_records, 500),
 ];
 
-/// What the second half of the measurements has more of than the first, of which the first eighth is left out: there the
-/// farm fills up.
+/// Finds quantities that grow from the first half of the measurements to the second. The first eighth is left out, because the farm
+/// fills up then.
 pub(super) fn growth(gauges: &[Gauge], time: Duration) -> Vec<Violation> {
     let gauges = &gauges[gauges.len().div_ceil(8)..];
     if time < LEAST || gauges.len() < 4 {

@@ -1,7 +1,7 @@
-//! One world for a long time: people come with job after job and change their minds, storms of faults come and go, an
-//! operator drains workers and removes garbage. At the end the farm is no larger than it was in the middle.
+//! Runs one world for a long time: people submit job after job and change their minds, storms of faults come and go, an operator
+//! drains workers and removes garbage. At the end the farm must not be larger than in the middle.
 //!
-//! A job is audited some minutes after its end; then nothing is kept of it but that the log may say nothing of it any more.
+//! A job is audited some minutes after its end. Then all its data is dropped, except that the log must not mention it any more.
 
 mod book;
 mod gauge;
@@ -24,52 +24,52 @@ use crate::world::{Tells, line_up};
 use book::Book;
 pub use gauge::Gauge;
 
-/// Step of the simulated time; most of the real time goes by with steps in which nothing happens.
+/// Step of the simulated time. Most of the real time is spent on steps in which nothing happens.
 const TICK: Duration = Duration::from_millis(20);
-/// From the beginning of a storm to that of the next; the second half is quiet, so that jobs end.
+/// Time from the start of one storm to the next. The second half is quiet, so that jobs end.
 const CYCLE: Duration = Duration::from_secs(60);
-/// An ended job is forgotten after that.
+/// Time after which an ended job expires.
 const KEEP: Duration = Duration::from_secs(600);
-/// When people stop to come, their last jobs must end within that.
+/// Time limit for the last jobs after people stop submitting.
 const LAST: Duration = Duration::from_secs(3600);
-/// Times that the farm is measured.
+/// Number of measurements.
 const GAUGES: u32 = 24;
 
-/// A long life to be lived.
+/// Settings of a long run.
 #[derive(Debug, Clone, Copy)]
 pub struct Soak {
-    /// Decides everything.
+    /// Seed that decides everything.
     pub seed: u64,
-    /// How long people come, simulated.
+    /// Simulated time for which people submit jobs.
     pub time: Duration,
-    /// Whether the story is kept, which takes memory.
+    /// Tells whether all messages are kept, which takes memory.
     pub tells: Tells,
 }
 
-/// What came of it.
+/// Result of a long run.
 #[derive(Debug, Clone, Serialize)]
 pub struct Soaked {
-    /// What must never be, and was.
+    /// Violations that occurred.
     pub violations: Vec<String>,
-    /// The farm from time to time.
+    /// Measurements, oldest first.
     pub gauges: Vec<Gauge>,
-    /// What people did, and how jobs ended.
+    /// Counts of actions of people and of ends of jobs.
     pub counts: BTreeMap<&'static str, u64>,
-    /// How often each kind of fault came about.
+    /// Number of times that each kind of fault took effect.
     pub fired: BTreeMap<&'static str, u32>,
     /// Most records of the log beside a snapshot.
     pub longest_log: usize,
     /// Simulated seconds.
     pub seconds: f64,
-    /// Digest of all that was said and written.
+    /// Digest of all messages and records.
     pub trace: String,
-    /// All that was said, one line each, if it was asked for.
+    /// All messages, one line each, if requested.
     #[serde(skip)]
     pub story: Vec<String>,
 }
 
 impl Soak {
-    /// Lives through it, or to the first violation; `see` is shown each measurement.
+    /// Runs until the end or the first violation. Calls `see` with each measurement.
     pub fn run(&self, mut see: impl FnMut(&Gauge)) -> anyhow::Result<Soaked> {
         line_up()?;
         let begun = Instant::now();
@@ -124,12 +124,12 @@ impl Soak {
         })
     }
 
-    /// The seed of a storm.
+    /// Returns the seed of a storm.
     fn storm(&self, number: u32) -> u64 {
         self.draw(&format!("storm {number}"))
     }
 
-    /// A number for a purpose.
+    /// Draws a number for a purpose.
     fn draw(&self, purpose: &str) -> u64 {
         let hash = blake3::hash(format!("{} {purpose}", self.seed).as_bytes());
         let first = hash.as_bytes().first_chunk().copied();

@@ -1,4 +1,4 @@
-//! Who comes to the farm all day: people with jobs, and an operator.
+//! People of a long run: people with jobs, and an operator.
 
 use std::time::Duration;
 
@@ -15,13 +15,13 @@ use crate::shared::Shared;
 use crate::shelf::Shelf;
 use crate::stage;
 
-/// People with jobs.
+/// Number of people with jobs.
 pub(super) const PERSONS: u64 = 3;
-/// People who come for a day.
+/// Habits of the people of a long run.
 const MANNER: Manner = Manner { look: Duration::from_secs(2), patience: Duration::from_secs(1800) };
-/// What is younger is no garbage.
+/// Age below which an artifact is never garbage.
 const GRACE: Duration = Duration::from_secs(300);
-/// A drained worker is drained for so long at most.
+/// Longest time for which a worker is drained.
 const DRAINED: Duration = Duration::from_secs(60);
 
 pub(super) fn name(number: u64) -> String {
@@ -32,7 +32,7 @@ fn now() -> Duration {
     turmoil::sim_elapsed().unwrap_or_default()
 }
 
-/// One job after the other, until the time is over.
+/// Runs one job after the other until the time is over.
 pub(super) async fn person(soak: Soak, number: u64, shared: Shared, shelf: Shelf, book: Book) -> turmoil::Result {
     let name = name(number);
     let mut rng = SmallRng::seed_from_u64(soak.draw(&name));
@@ -67,7 +67,7 @@ fn errand(rng: &mut SmallRng, owner: &str, number: u64) -> anyhow::Result<Errand
     Ok(Errand { key: format!("{owner} {number}"), spec, stage, whim, pauses })
 }
 
-/// Drains a worker now and then, lets it work again, and removes garbage.
+/// Drains a worker now and then, ends the drain, and removes garbage.
 pub(super) async fn operator(soak: Soak, shared: Shared) -> turmoil::Result {
     let mut rng = SmallRng::seed_from_u64(soak.draw("operator"));
     while now() < soak.time {
@@ -78,7 +78,7 @@ pub(super) async fn operator(soak: Soak, shared: Shared) -> turmoil::Result {
             shared.lock().did("garbage collected");
         }
     }
-    // Some that are away may come back as drained, and the last jobs need one that works.
+    // Disconnected workers may still be drained when they reconnect, and the last jobs need a working one.
     for _ in 0..10 {
         open_all(&shared).await;
         tokio::time::sleep(Duration::from_secs(10)).await;

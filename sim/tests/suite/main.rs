@@ -1,4 +1,4 @@
-//! The simulation and the bugs that it must find.
+//! Tests of the simulation, and of the planted bugs that it must find.
 
 mod plants;
 mod seeds;

@@ -1,4 +1,4 @@
-//! The bugs that `sim/plants/run` plants are patches, and the sources move on.
+//! Checks that the patches of `sim/plants/run`, which plant bugs, still apply to the changing sources.
 
 use std::path::Path;
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! Simulated farms with every kind of fault. One test: worlds of one process live one after the other.
+//! Simulated farms with every kind of fault. They are one test, because worlds of one process must run one after the other.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use femc_sim::{Planned, Soak, Tells, run};
 
-/// A few of them, which .ci/run does not live through; `cargo run --release -p femc-sim -- --seeds 200` lives through more.
+/// Runs a few seeds that .ci/run does not run; `cargo run --release -p femc-sim -- --seeds 200` runs more.
 #[test]
 fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
     let outcome = run(1, &Planned::default(), Tells::Outcome).unwrap();
@@ -14,10 +14,10 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
     assert!(outcome.seconds < 60.0, "it is quick: {} s", outcome.seconds);
 
     let mut fired: BTreeMap<&str, u32> = BTreeMap::new();
-    // Worlds in which each deed came about.
+    // Number of worlds in which each action occurred.
     let mut deeds: BTreeMap<&str, u32> = BTreeMap::new();
     let (mut wrong, mut shared) = (Vec::new(), 0);
-    // In the last one a worker is alone and sick.
+    // In the last world one worker is alone and all tasks fail on it.
     for seed in (1000..1008).chain([1010]) {
         let outcome = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
         outcome.fired.iter().for_each(|(fault, times)| *fired.entry(fault).or_default() += times);

@@ -1,18 +1,18 @@
-//! For tests: what a test needs of the machine, and whether it may be skipped without it.
+//! Prerequisites of tests. Decides whether a test may be skipped on a machine that lacks one.
 //!
-//! A test that lacks a need is skipped with a printed line. `FEMC_REQUIRE` lists the needs that must be met, separated by
-//! commas (`postgres`, `s3`, `python`, `refs`, `curl`, `python3`, `node`): a test that lacks one of those fails instead. A word that is no need fails every
-//! test that asks for any.
+//! Tests with missing prerequisites are skipped with a printed line. `FEMC_REQUIRE` lists mandatory prerequisites, separated by
+//! commas (`postgres`, `s3`, `python`, `refs`, `curl`, `python3`, `node`). A test that lacks a mandatory prerequisite fails. An
+//! unknown word fails every test that checks any prerequisite.
 #![deny(missing_docs)]
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// The variable that lists the needs that must be met.
+/// Environment variable that lists the mandatory prerequisites.
 pub const VARIABLE: &str = "FEMC_REQUIRE";
 
-/// Something that not every machine has.
+/// A prerequisite that some machines lack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     /// A PostgreSQL server that speaks TLS; `tests/postgres` starts one.
@@ -25,13 +25,13 @@ pub enum Need {
     Refs,
     /// The program `curl` with HTTP/2.
     Curl,
-    /// The program `python3`, with its standard library alone.
+    /// The program `python3`, with its standard library only.
     Python3,
-    /// The program `node`, from version 18 on, which has `fetch`.
+    /// The program `node`, version 18 or later, which has `fetch`.
     Node,
 }
 
-/// A word of [`VARIABLE`] that names no need.
+/// An unknown word in [`VARIABLE`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{VARIABLE} names `{0}`, which is none of postgres, s3, python, refs, curl, python3, node")]
 pub struct UnknownNeed(String);
@@ -51,11 +51,11 @@ impl Need {
         }
     }
 
-    /// What was found of this need; `None` is printed as a skip.
-    /// - `absent`: why there is none, for people.
+    /// Returns `found`. Prints a skip if it is `None`.
+    /// - `absent`: reason for the skip, for people.
     ///
     /// # Panics
-    /// If there is none and [`VARIABLE`] names the need, or if that names something unknown.
+    /// If `found` is `None` and [`VARIABLE`] names the need, or if [`VARIABLE`] contains an unknown word.
     pub fn or_skip<T>(self, found: Option<T>, absent: &str) -> Option<T> {
         let list = std::env::var_os(VARIABLE).unwrap_or_default();
         let required = parse(&list.to_string_lossy()).unwrap_or_else(|unknown| panic!("{unknown}"));
@@ -66,14 +66,14 @@ impl Need {
         found
     }
 
-    /// Whether the program of this name runs; see [`Need::or_skip`].
+    /// Checks whether the program of this name runs; see [`Need::or_skip`].
     pub fn program(self) -> bool {
         let ran = std::process::Command::new(self.word()).arg("--version").output();
         let found = ran.ok().filter(|ran| ran.status.success());
         self.or_skip(found, &format!("{self} is not installed")).is_some()
     }
 
-    /// The value of a variable that the script `tests/<need>` sets; see [`Need::or_skip`].
+    /// Returns the value of a variable that the script `tests/<need>` sets; see [`Need::or_skip`].
     pub fn variable(self, name: &str) -> Option<String> {
         self.or_skip(std::env::var(name).ok(), &format!("{name} is not set (tests/{self} sets it)"))
     }
@@ -93,12 +93,12 @@ impl FromStr for Need {
     }
 }
 
-/// The needs of a list with commas; an empty list has none.
+/// Parses a comma-separated list of needs. The list may be empty.
 fn parse(list: &str) -> Result<Vec<Need>, UnknownNeed> {
     list.split(',').map(str::trim).filter(|word| !word.is_empty()).map(str::parse).collect()
 }
 
-/// A folder of `../shared`, beside the checkout; see [`Need::or_skip`].
+/// Returns a folder of `../shared`, beside the checkout; see [`Need::or_skip`].
 pub fn shared(folder: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(folder);
     let absent = format!("{} is not there", path.display());

@@ -1,12 +1,12 @@
-//! Tests with and without what they need, as processes of their own: a process reads its variables once.
+//! Runs tests with and without their prerequisites in separate processes, because environment variables are fixed per process.
 
 use femc_require::Need;
 use std::process::Command;
 
-/// Set in the process that plays the test under test.
+/// Variable that makes the prerequisite available in the process under test.
 const THING: &str = "FEMC_REQUIRE_TEST_THING";
 
-/// A test that needs S3, which is there if [`THING`] is set; run by [`run`] alone.
+/// Needs S3, which is available if [`THING`] is set. Only [`run`] runs this test.
 #[test]
 #[ignore = "a test that the others run in a process of its own"]
 fn needy() {
@@ -15,7 +15,7 @@ fn needy() {
     }
 }
 
-/// Whether `needy` passes, and what it says.
+/// Runs `needy`. Returns whether it passes, and its output.
 fn run(required: &str, thing: Option<&str>) -> (bool, String) {
     let mut command = Command::new(std::env::current_exe().expect("this program"));
     command.args(["--exact", "needy", "--ignored", "--nocapture"]);

@@ -1,4 +1,4 @@
-//! What lies in the store, in the log and on workers' disks.
+//! Formats of the store, the log and workers' disks.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -32,7 +32,7 @@ use femc_worker::{Parcel, decode_sums, testing};
 
 use super::Target;
 
-/// Bytes that a scene may take here.
+/// Size limit of a scene, in bytes.
 const LIMIT: u64 = 1 << 20;
 
 pub(super) fn targets() -> Vec<Target> {
@@ -85,7 +85,7 @@ fn scenes() -> Vec<Target> {
     };
     let accepts = |bytes: &[u8]| {
         let decoded = Bundle::decode(bytes, LIMIT);
-        // What is accepted stays below its folder, and is one again.
+        // An accepted bundle must stay inside its folder, and must encode again.
         decoded.is_ok_and(|bundle| bundle.0.keys().all(|name| stays_below(name)) && bundle.encode().is_ok())
     };
     let manifest = Manifest::decode(&parcel.manifest).expect("a manifest");
@@ -109,12 +109,12 @@ fn scenes() -> Vec<Target> {
     ]
 }
 
-/// The front of a kept result, whatever follows.
+/// Adds the header of a kept result to a body.
 fn kept(body: &[u8]) -> Vec<u8> {
     [b"FEMCDONE\x06\0\0\0", &Digest::of(body).as_bytes()[..], body].concat()
 }
 
-/// What an assignment of a tile of three bytes came to.
+/// Returns the kept result of a tile of three bytes.
 fn kept_body() -> Vec<u8> {
     let tile = Artifact::of(b"abc");
     let outputs = vec![Output { role: Role::Tile, artifact: tile }];
@@ -147,8 +147,10 @@ fn spec() -> JobSpec {
     }
 }
 
+/// Checks that a path stays inside its folder.
+///
 /// # Panics
-/// When the path leads elsewhere.
+/// If the path leads elsewhere.
 fn stays_below(name: &str) -> bool {
     let is_odd = |part: &str| matches!(part, "" | "." | "..");
     assert!(!name.split('/').any(is_odd) && !name.contains(['\\', '\0']), "{name:?} leads elsewhere");
@@ -200,7 +202,7 @@ fn film() -> Vec<Target> {
     ]
 }
 
-/// Layers of a tile of a foggy floor: their sums, what is resolved of them, and how they are asked for.
+/// Targets for layers of a tile of a foggy floor: sums, resolved layers, and layer expressions.
 fn layers() -> Vec<Target> {
     let asked: Vec<Layer> = [Preset::Guides, Preset::Direct, Preset::Fog]
         .into_iter()
@@ -218,7 +220,7 @@ fn layers() -> Vec<Target> {
     let (tile, piece) = (tile.encode(), piece.encode());
     let is_tile = move |bytes: &[u8]| {
         let Ok(tile) = LayerTile::decode(bytes) else { return false };
-        // What is accepted is one again, is united with itself, and resolved.
+        // An accepted tile must encode to itself, merge with itself, and resolve.
         assert!(LayerTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
         let twice = LayerTile::united(vec![tile.clone(), tile.clone()], 0, OPEN);
         assert!(twice.is_ok_and(|twice| twice == tile));
@@ -246,7 +248,8 @@ fn layers() -> Vec<Target> {
     all
 }
 
-/// Bytes that end with a compressed frame: as they are, with the checksum made right again, and with other contents of the frame.
+/// Targets for bytes that end with a compressed frame: mutated as they are, with the checksum repaired, and with mutated contents
+/// of the frame.
 fn planes(
     [bytes, header, inside]: [&'static str; 3],
     encoded: Vec<u8>,
@@ -265,10 +268,10 @@ fn planes(
     ]
 }
 
-/// What a frame of zstd begins with.
+/// Magic number of a zstd frame.
 const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
-/// Layers and features of a tile, and both of several.
+/// Targets for layers and features of a tile, alone and merged.
 fn beside() -> Vec<Target> {
     let (tiling, rect) = (Tiling::new(4, 3, 8).expect("a tiling"), Rect { x: 0, y: 0, width: 4, height: 3 });
     let (mut light, mut features) = (LightBuffer::default(), FeatureSums::new(FeatureLayout { values: 2, ids: 2 }));
@@ -287,7 +290,7 @@ fn beside() -> Vec<Target> {
     let mut piece = BesidePiece::new(tiling, 0);
     piece.put(&tile, OPEN).expect("the first tile");
     let features = tile.features.as_ref().map(FeatureTile::encode).expect("they are there");
-    // Behind the header of features: magic, version, checksum, eight words, and one for each kind of ids.
+    // Skip the header of features: magic, version, checksum, eight words, and one for each kind of ids.
     let (front, planes) = features.split_at(28 + 10 * 4);
     let (front, planes) = (front.to_vec(), zstd::bulk::decompress(planes, 1 << 16).expect("what was compressed"));
     let dress =
@@ -300,7 +303,7 @@ fn beside() -> Vec<Target> {
     let are_features = |bytes: &[u8]| {
         let Ok(tile) = FeatureTile::decode(bytes) else { return false };
         assert!(FeatureTile::decode(&tile.encode()).is_ok_and(|again| again == tile));
-        // What is accepted can be united with itself, and resolved.
+        // An accepted tile must merge with itself and resolve.
         let BesideTile { features, .. } =
             BesideTile::united(vec![BesideTile { light: None, features: Some(tile) }], 0, OPEN).expect("one part");
         features.is_some()
@@ -316,7 +319,7 @@ fn beside() -> Vec<Target> {
     ]
 }
 
-/// The light of a floor, a ball and fog, as the first pass finds it.
+/// Targets for the first pass's light of a floor, a ball and fog.
 fn first_pass() -> Vec<Target> {
     let text = "camera main =\n  origin .2 .2 .2\n  target .8 .8 .8\n  fov 60\n  film 8 8\n\
         medium air =\n  sigma_s .5\nmbox air 0 0 0 1 1 1\nm lamp =\n  ed 100\nv l =\n  p .5 .5 .9\nsph l .05\n\
@@ -326,7 +329,7 @@ fn first_pass() -> Vec<Target> {
     let prepared = prepare_world(&source, &Settings::default(), 1, None).expect("a frame");
     let mut solution =
         first_pass_of(&prepared, femc_pipeline::Method::Femc, &AtomicBool::new(false)).expect("a solution");
-    // A little of it will do.
+    // A small part of the fog is enough.
     let leaf = |k: usize| FogCell::Leaf(*solution.field.fog.leaves().nth(k).expect("a box of fog"));
     let [min, max] = solution.field.fog.bounds();
     let cells = [FogCell::Cut { axis: 1, at: 0.5 * (min.y + max.y) }, leaf(0), leaf(1)];
@@ -340,7 +343,7 @@ fn first_pass() -> Vec<Target> {
     };
     let is_field = |bytes: &[u8]| {
         let Ok((field, statistics)) = Field::decode(bytes) else { return false };
-        // What is accepted can be asked for light at any of its surfaces, and is one again.
+        // An accepted field must answer for light at all of its surfaces, and must encode again.
         let mut line = Line::default();
         for (instance, sides) in (0..).zip(&field.sides) {
             for primitive in 0..sides.len() as u32 {
@@ -370,7 +373,8 @@ fn first_pass() -> Vec<Target> {
     all
 }
 
-/// What the steps of a first pass in blocks send each other: few elements, for want of memory, and a ray from each part.
+/// Targets for data between the steps of a first pass in blocks. A memory limit of 0 keeps the elements few. There is one ray of
+/// each part.
 fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
     let (options, cancel) = (Options { error: 1.0, memory: 0, guides: true }, AtomicBool::new(false));
     let begun = Underway::begin(&prepared, &options, &cancel).expect("elements");
@@ -385,7 +389,7 @@ fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
     let (of, twice) = (prepared.clone(), settled.underway().clone());
     let underway = move |elements: &[u8], links: &[u8]| {
         let Ok(read) = Underway::decode(&prepared, elements, links) else { return false };
-        // What is accepted can be gone on with, and is one again.
+        // An accepted state must be able to continue, and must encode again.
         let again = Underway::decode(&prepared, &read.encode_elements(), &read.encode_links());
         assert!(again.is_ok_and(|again| again.solution(&prepared, Vec::new()).report.links == read.report().links));
         true
@@ -421,7 +425,7 @@ const FLOOR: &str = "camera main =\n  origin .5 .5 2\n  target .5 .5 0\n  up 0 1
     m lamp =\n  ed 100\nv l =\n  p .5 .5 1.5\no lamp\nsph l .05\no\n\
     m wall =\n  rd .5\nv a =\n  p 0 0 0\nv b =\n  p 1 0 0\nv c =\n  p 1 1 0\nv d =\n  p 0 1 0\no floor\nf a b c d\no\n";
 
-/// Light statistics of a tile of a foggy floor under a lamp: those of recorded samples, those of all, and of two frames.
+/// Targets for light statistics of a tile of a foggy floor under a lamp: of recorded samples, of all samples, and of two frames.
 fn paths() -> Vec<Target> {
     let some = statistics(1, false);
     let mut all = paths_of(["paths", "paths, header", "paths, tables"], &some);
@@ -429,7 +433,7 @@ fn paths() -> Vec<Target> {
     let frames = Frames::of([some, statistics(2, false)]).expect("a union").encode();
     let are_frames = |bytes: &[u8]| {
         let Ok(read) = Frames::decode(bytes) else { return false };
-        // What is accepted is united, and one again.
+        // Accepted statistics must merge, and must encode to themselves.
         let mut twice = read.clone();
         assert!(twice.unite(read.clone().into_frames()).is_ok() && twice == read);
         assert!(Frames::decode(&read.encode()).is_ok_and(|again| again == read));
@@ -437,7 +441,7 @@ fn paths() -> Vec<Target> {
     };
     all.push(Target::of("paths of frames", vec![frames.clone()], are_frames));
     let dress = |bytes: &[u8]| {
-        // The first frame's checksum made right again.
+        // Repair the checksum of the first frame.
         let mut bytes = bytes.to_vec();
         if let Some((front, rest)) = bytes.split_at_mut_checked(FRAMES_FRONT)
             && let Ok(length) = usize::try_from(u64::from_le_bytes(*front.last_chunk().expect("it has a length")))
@@ -471,7 +475,7 @@ fn paths_of([bytes, header, inside]: [&'static str; 3], statistics: &Statistics)
     };
     let are_paths = |bytes: &[u8]| {
         let Ok(read) = Statistics::decode(bytes) else { return false };
-        // What is accepted can be counted, united with itself, and is one again.
+        // Accepted statistics must support counting, merge with themselves, and encode again.
         for table in Table::ALL {
             assert_eq!(Histograms::of(&read, table).table, table);
             assert_eq!(Histograms::of_all(&read, table).is_some(), read.scope.is_full);
@@ -488,7 +492,7 @@ fn paths_of([bytes, header, inside]: [&'static str; 3], statistics: &Statistics)
     ]
 }
 
-/// Bytes of encoded frames before the statistics of the first.
+/// Bytes of encoded frames before the statistics of the first frame.
 const FRAMES_FRONT: usize = 8 + 4 + 4 + 8;
 
 /// Bytes of encoded light statistics before their tables.
@@ -501,7 +505,7 @@ fn hit_at() -> Vec3A {
     Vec3A::new(0.4, 0.3, 0.2)
 }
 
-/// Its checksum made right again.
+/// Repairs the checksum of encoded bytes.
 fn sealed(bytes: &[u8]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     if let Some((front, body)) = bytes.split_at_mut_checked(28) {

@@ -1,11 +1,11 @@
-//! Bytes made worse.
+//! Mutates bytes.
 
 use crate::rng::Rng;
 
-/// Bytes beyond which nothing grows.
+/// Size limit of mutated bytes.
 const MOST: usize = 1 << 16;
 
-/// Some mutations of `bytes`, one after the other; none once in a while.
+/// Applies some mutations to `bytes`, one after the other. Sometimes applies none.
 pub(super) fn some(rng: &mut Rng, mut bytes: Vec<u8>, other: &[u8]) -> Vec<u8> {
     for _ in 0..rng.below(6) {
         one(rng, &mut bytes, other);

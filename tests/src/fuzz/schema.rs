@@ -1,4 +1,4 @@
-//! Messages as their descriptions allow them, with the values at which things go wrong.
+//! Generates messages that their descriptors allow, with extreme values.
 
 use std::collections::BTreeMap;
 
@@ -9,14 +9,14 @@ use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorSet};
 
 use crate::rng::Rng;
 
-/// All messages of a package by their full names.
+/// All messages of a package, by full name.
 pub(super) struct Schema {
     messages: BTreeMap<String, DescriptorProto>,
 }
 
 impl Schema {
-    /// From a descriptor set.
-    /// - panics: if it is none: tests only.
+    /// Parses a descriptor set.
+    /// - panics: if it is invalid; this is for tests only.
     pub(super) fn of(descriptors: &[u8]) -> Self {
         let set = FileDescriptorSet::decode(descriptors).expect("a descriptor set");
         let mut messages = BTreeMap::new();
@@ -28,13 +28,13 @@ impl Schema {
         Self { messages }
     }
 
-    /// Bytes of a message of this name.
+    /// Generates the bytes of a message of this name.
     pub(super) fn bytes(&self, rng: &mut Rng, name: &str, depth: usize) -> Vec<u8> {
         let mut out = Vec::new();
         let Some(message) = self.messages.get(name) else { return out };
         let chosen = rng.below(message.field.len());
         for (at, field) in message.field.iter().enumerate() {
-            // Of a choice one is usually there, and rarely several, of which the last counts.
+            // Usually one field of a oneof is set. Rarely several are set, and the last one counts.
             let is_there = match field.oneof_index {
                 Some(_) if field.proto3_optional() => !rng.once_in(2),
                 Some(_) => at == chosen || rng.once_in(4 * message.field.len()),

@@ -1,10 +1,10 @@
-//! Tokens, their lists, identities.
+//! Targets for tokens, token lists and identities.
 
 use femc_trust::{Authority, Holder, Identity, Issue, Pass, Role, Token, TokenLine};
 
 use super::Target;
 
-/// As text; what is none is as good as any other rubbish.
+/// Converts bytes to text. Invalid bytes are replaced.
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
@@ -23,7 +23,7 @@ pub(super) fn targets() -> Vec<Target> {
         Target::of("token", vec![secret.into()], |bytes| Token::parse(&text(bytes)).is_some()),
         Target::of("line of tokens", vec![line], |bytes| {
             let line = TokenLine::parse(&text(bytes));
-            // What is understood is written as it is understood.
+            // An accepted line must parse to itself after writing.
             line.is_some_and(|line| TokenLine::parse(&line.to_string()) == Some(line))
         }),
         Target::of("pass", vec![pass.into()], |bytes| Pass::parse(&text(bytes)).is_ok()),

@@ -1,4 +1,4 @@
-//! The messages of `femc.v1`.
+//! Targets for the messages of `femc.v1`.
 
 use std::rc::Rc;
 
@@ -7,7 +7,7 @@ use femc_proto::testing::{DECODERS, DESCRIPTORS};
 use super::schema::Schema;
 use super::{Target, mutate};
 
-/// Messages within messages: more than there are.
+/// Nesting limit of messages, deeper than any message has.
 const DEPTH: usize = 6;
 
 pub(super) fn targets() -> Vec<Target> {

@@ -1,4 +1,4 @@
-//! Needles, faces without area, faces twice and faces in one plane, in rooms of one radiance: nobody sees them.
+//! Needles, degenerate faces, duplicate faces and coplanar faces in rooms of uniform radiance: they must be invisible.
 
 use super::Line;
 use super::measure::{Case, Effort, all};
@@ -9,7 +9,7 @@ use std::fmt::Write;
 pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
     let thing = |rd: f64| material("thing", &[&at_luminance(1.0, rd)]);
     let mut cases = Vec::new();
-    // Black lamps are found by light sampling more than by chance, bright ones scatter what they get.
+    // Black lamps are found mostly by light sampling. Bright lamps also scatter light.
     for rd in [0.0, 0.4] {
         let mut add = |name: &str, faces: &str| {
             let text = furnace(1.0, 1.0, 0.5) + &thing(rd) + faces;
@@ -24,8 +24,8 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
         add("faces five times", &level("thing", [0.0, 0.0, 0.5], 0.4).repeat(5));
         add("triangles twice", &TRIANGLE.repeat(2));
         add("balls twice", &"v o =\n p .5 .2 0\nm thing\nsph o .3\n".repeat(2));
-        // A shadow ray ends before its lamp by the rounding of its way, some 2e-6 of its length: lamps that are nearer than that behind each
-        // other are found both, and a micrometer apart the room is 0.7 % too bright.
+        // A shadow ray stops short of its lamp by a rounding margin of some 2e-6 of its length. Of two lamps closer together than
+        // this, both are found: with a gap of one micrometer the room is 0.7 % too bright.
         add(
             "faces ten micrometers apart",
             &(level("thing", [0.0, 0.0, 0.5], 0.4) + &level("thing", [0.0, 0.0, 0.50001], 0.4)),
@@ -40,7 +40,7 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
 
 const TRIANGLE: &str = "v a =\n p .5 0 -.3\nv b =\n p .6 .5 .4\nv c =\n p .4 -.4 .5\nm thing\nf a b c\n";
 
-/// A hundred triangles of this width.
+/// Returns a hundred triangles of this width.
 fn needles(width: f64) -> String {
     let mut text = "m thing\n".to_owned();
     for k in 0..100 {
@@ -50,7 +50,7 @@ fn needles(width: f64) -> String {
     text
 }
 
-/// A square of 1 m cut into so many.
+/// Returns a square of 1 m, cut into `count` strips.
 fn strips(count: u32) -> String {
     let mut text = "m thing\n".to_owned();
     for k in 0..count {
@@ -64,7 +64,7 @@ fn strips(count: u32) -> String {
     text
 }
 
-/// Points, lines, folded faces; balls, rings and cylinders of radius or height 0 or nearly so.
+/// Returns points, lines and folded faces, and balls, rings and cylinders with zero or tiny radius or height.
 fn without_area() -> String {
     let vertices = "v a =\n p .5 0 0\n n 1 0 0\nv b =\n p .5 .3 0\nv c =\n p .5 .6 0\nv d =\n p .5 .3 1e-30\n";
     let faces = "f a a a\nf a b b\nf a b c\nf a c b\nf a b c b\nf a b d\nf a b a b\n";

@@ -1,4 +1,4 @@
-//! Closed rooms of one radiance: the mean is that radiance, whatever the room.
+//! Closed rooms of uniform radiance: the mean is that radiance, whatever the room.
 
 use super::Line;
 use super::measure::{Case, Effort, all};
@@ -6,7 +6,7 @@ use super::room::{at_luminance, eye, furnace, walls};
 use crate::text::{camera, level, material};
 use std::f64::consts::PI;
 
-/// Standard error that is wanted at this albedo.
+/// Returns the target standard error at this albedo.
 pub fn sigma(albedo: f64) -> f64 {
     if albedo <= 0.5 { 1e-4 } else { 1e-3 }
 }
@@ -24,9 +24,10 @@ fn albedos() -> Vec<Case> {
     let mut cases: Vec<_> = [0.0, 0.5, 0.9, 0.99]
         .map(|rd| Case::new(format!("albedo {rd}"), furnace(1.0, 1.0, rd), 1.0).to(sigma(rd)))
         .into();
-    // A thousand reflections a path: most are ended, the others count for more. A thousandth would take ten minutes.
+    // A path has a thousand reflections. Russian roulette ends most paths and raises the weights of the others. A standard error of
+    // 1e-3 would take ten minutes.
     cases.push(Case::new("albedo 0.999", furnace(1.0, 1.0, 0.999), 1.0).to(2e-3).long());
-    // Nothing absorbs but a black lamp, or a mirror of less than 1: paths end there.
+    // Only a black lamp absorbs, or a mirror of reflectance below 1. Paths end there.
     let lamp = |rd| material("lamp", &[&at_luminance(1.0, rd)]) + &level("lamp", [0.0, 0.0, 0.7], 0.3);
     for rd in [0.999, 1.0] {
         let room = eye(1.0) + &walls(1.0, &at_luminance(1.0, rd));
@@ -50,7 +51,7 @@ fn sizes() -> Vec<Case> {
     [1e-4, 1e-3, 1e-2, 1e2, 1e4, 1e6].map(of).into()
 }
 
-/// What is as bright as the room is invisible in it, of any size, lamp or not.
+/// Objects as bright as the room are invisible in it, whatever their size, lamp or not.
 fn objects() -> Vec<Case> {
     let mut cases = Vec::new();
     for size in [1e-4, 1e-2, 1.0, 1e3] {
@@ -66,15 +67,15 @@ fn objects() -> Vec<Case> {
     cases
 }
 
-/// The share of the film that a lamp covers, where the field of view is as narrow or as wide as can be.
+/// Fraction of the film that a lamp covers, for very narrow and very wide fields of view.
 fn views() -> Vec<Case> {
     let mut cases = Vec::new();
     for fov in [1e-3f64, 1.0, 90.0, 170.0, 179.0] {
-        // A square at distance 1 as large as half the film's image, and a quarter of it is lit.
+        // A square at distance 1 with half the width of the image covers a quarter of the film.
         let half = 0.5 * (0.5 * fov).to_radians().tan();
         let view = camera("0 0 -1", "0 0 0", fov).replace("up .1 .2 .9", "up 0 1 0").replace("film 8 8", "film 6 6");
         let text = view + &material("lamp", &[&at_luminance(1.0, 0.0)]) + &level("lamp", [0.0; 3], half);
-        // Rounding of directions, 1e-7, against an image of fov: its borders are that uncertain.
+        // Directions are rounded to 1e-7, so the borders of the square are uncertain by this relative to the image.
         let slack = 1e-5 + 2e-7 / half;
         cases.push(Case::new(format!("lamp in a field of view of {fov} degrees"), text, 0.25).slack(slack));
         let room = furnace(1.0, 1.0, 0.5).replace("fov 60", &format!("fov {fov}"));

@@ -1,5 +1,5 @@
-//! White furnaces of rough mirrors: what a floor of reflectance 1 sends back of a white sky is the model's own loss by shadowing,
-//! here by quadrature over its microfacets.
+//! White furnaces of rough mirrors: a floor of reflectance 1 under a white sky loses light only by the model's own shadowing. The
+//! loss is computed here with quadrature over the microfacets.
 
 use super::Line;
 use super::measure::{Case, Effort, all};
@@ -22,8 +22,8 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
     all("gloss", &cases, effort, tell);
 }
 
-/// Share of the light from direction `cos` that a GGX mirror reflects: the mean, over microfacet normals of density D cos, of
-/// `G2 (wo . h) / (cos_o cos_h)` where the reflected direction is above the surface (\[heitz2014\]).
+/// Returns the fraction of light from direction `cos` that a GGX mirror reflects: the mean, over microfacet normals of density D
+/// cos, of `G2 (wo . h) / (cos_o cos_h)` where the reflected direction is above the surface (\[heitz2014\]).
 fn albedo(cos: f64, alpha: f64) -> f64 {
     if alpha == 0.0 {
         return 1.0;
@@ -31,11 +31,11 @@ fn albedo(cos: f64, alpha: f64) -> f64 {
     let a2 = alpha * alpha;
     let wo = [(1.0 - cos * cos).max(0.0).sqrt(), cos];
     let lambda = |z: f64| 0.5 * ((1.0 + a2 * (1.0 / (z * z) - 1.0)).sqrt() - 1.0);
-    // Midpoints: the integrand ends in a kink where reflected directions go below.
+    // Midpoint rule, because the integrand has a kink where reflected directions go below the surface.
     let (rings, spokes) = (600, 400);
     let mut sum = 0.0;
     for ring in 0..rings {
-        // In the square root of 1 - u: at u = 1 the integrand grows as 1 / cos_h.
+        // Substitutes the square root of 1 - u: at u = 1 the integrand grows as 1 / cos_h.
         let root = (f64::from(ring) + 0.5) / f64::from(rings);
         let (u, weight) = (1.0 - root * root, 2.0 * root);
         let cos_h = ((1.0 - u) / (1.0 + (a2 - 1.0) * u)).sqrt();

@@ -1,4 +1,4 @@
-//! Lamps by their form factors (algorithm brief, T4), from 1e-4 to 1e3 m and from 1e-10 to 1e10 cd/m2.
+//! Lamps with known form factors (algorithm brief, T4), from 1e-4 to 1e3 m and from 1e-10 to 1e10 cd/m2.
 
 use super::Line;
 use super::measure::{Case, Effort, all};
@@ -18,9 +18,9 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
     all("lamps", &cases, effort, tell);
 }
 
-/// A floor seen straight from above from 1 cm, and a lamp that `text` makes of a material `lamp` of 1e-10 to 1e10 cd/m2.
+/// Returns a floor seen vertically from 1 cm above, and a lamp: `text` uses a material `lamp` of 1e-10 to 1e10 cd/m2.
 fn floor_under(radiance: f64, text: &str) -> String {
-    // The camera sees less than a micrometer: light from a lamp 1 m away is the same everywhere there.
+    // The camera sees less than a micrometer, where light from a lamp 1 m away is constant.
     let view = camera("0 -1e-4 .01", "0 0 0", 0.01);
     let floor = material("floor", &["sides 2", &format!("rd {RHO}")]) + &level("floor", [0.0; 3], 0.5);
     view + &floor + &material("lamp", &["sides 2", &format!("ed {}", PI * radiance)]) + text
@@ -38,7 +38,7 @@ fn ball(r: f64, radiance: f64) -> Case {
     case("ball", r, radiance, &format!("v o =\n p 0 0 {d}\nm lamp\nsph o {r}\n"), (r / d).powi(2))
 }
 
-/// The same off the normal: (R/d)^2 cos.
+/// Sphere off the normal: (R/d)^2 cos.
 fn tilted(r: f64, radiance: f64) -> Case {
     let d = 4.0 * r + 2.0;
     let at = [0.6 * d, 0.0, 0.8 * d];
@@ -53,8 +53,8 @@ fn disc(r: f64, radiance: f64) -> Case {
     case("disc", r, radiance, &text, r * r / (r * r + h * h))
 }
 
-/// Square of half side a straight above at height h: four times the corner's form factor,
-/// (2/pi) X/sqrt(1+X^2) atan(X/sqrt(1+X^2)) each a quarter, X = a/h.
+/// Square of half side a, vertically above at height h: the sum of four equal form factors of a corner, each a quarter of (2/pi)
+/// X/sqrt(1+X^2) atan(X/sqrt(1+X^2)), X = a/h.
 fn square(a: f64, radiance: f64) -> Case {
     let s = a / (1.0 + a * a).sqrt();
     let corners = [[-a, -a], [-a, a], [a, a], [a, -a]].map(|[x, y]| format!("{x} {y} 1"));
@@ -62,7 +62,8 @@ fn square(a: f64, radiance: f64) -> Case {
     case("square", a, radiance, &text, 4.0 / PI * s * s.atan())
 }
 
-/// A disc at height h in a sphere of 1 m: from every point of the sphere below, the share of the sphere's area behind it.
+/// Disc at height h in a sphere of 1 m. Seen from every point of the sphere below it, its form factor is the fraction of the
+/// sphere's area behind it.
 fn cap(h: f64) -> Case {
     let view = camera("0 0 -.9", ".3 .1 -.99", 60.0);
     let sphere = material("wall", &["sides 2", &format!("rd {RHO}")]) + "v o =\n p 0 0 0\nm wall\nsph o 1\n";

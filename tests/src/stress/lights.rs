@@ -1,4 +1,4 @@
-//! Very many lamps (algorithm brief, T15): their sum by brute force.
+//! Very many lamps (algorithm brief, T15), compared with their brute-force sum.
 
 use super::Line;
 use super::measure::{Case, Effort, all};
@@ -20,14 +20,14 @@ fn scene(lamps: &str) -> String {
     view + &floor + lamps
 }
 
-/// Irradiance over pi that a ball of 1 cd/m2 makes at the origin: (r/d)^2 cos.
+/// Returns the irradiance over pi of a ball of 1 cd/m2 at the origin: (r/d)^2 cos.
 fn share(at: [f64; 3], r: f64) -> f64 {
     let square = at.iter().map(|x| x * x).sum::<f64>();
     r * r / square * at[2] / square.sqrt()
 }
 
-/// Balls of four brightnesses and of random radii at random places of a block of 20 by 20 by 10 m; they hide each other from the point
-/// with a chance of 1e-5.
+/// Balls of four brightnesses and random radii, at random positions in a block of 20 by 20 by 10 m. They hide each other from the
+/// point with a probability of 1e-5.
 fn random(count: u32) -> Case {
     let mut rng = Rng::new(u64::from(count));
     let mut unit = || (rng.bits() >> 40) as f64 / (1u64 << 24) as f64;
@@ -45,14 +45,15 @@ fn random(count: u32) -> Case {
     Case::new(format!("{count} lamps at random"), scene(&text), RHO * sum).slack(1e-4)
 }
 
-/// n x n x 10 balls by nested arrays.
+/// n x n x 10 balls from nested arrays.
 fn lattice(n: u32) -> Case {
     let step = 20.0 / f64::from(n);
     let lamp = material("lamp", &["sides 1", &format!("ed {}", PI * 1e4)]);
     let text = format!(
         "{lamp}xf -t -9.913 -9.871 1.037 -a {n} -t {step} 0 0 -i 1 -a {n} -t 0 {step} 0 -i 1 -a 10 -t 0 0 1\nv o =\n p 0 0 0\nm lamp\nsph o 1e-4\nxf\n"
     );
-    // From the origin, no lamp is behind another: of a lattice about it, every one at three times the place of another would be.
+    // Seen from the origin, no lamp hides another. In a lattice centered at the origin, each lamp would hide the one at three times
+    // its position.
     let at = |start: f64, k: u32| start + step * f64::from(k);
     let mut sum = 0.0;
     for z in 0..10 {

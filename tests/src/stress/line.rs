@@ -1,48 +1,48 @@
-//! A line of the table.
+//! A line of the results table.
 
-/// Whether a line holds.
+/// Verdict of a line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// It does.
+    /// The value agrees with the truth.
     Holds,
-    /// It does not: why.
+    /// The value does not agree, for this reason.
     Fails(String),
 }
 
-/// What was measured of one case, and what is true.
+/// Measured and true value of one case.
 #[derive(Clone, Debug)]
 pub struct Line {
     /// Group and case.
     pub name: String,
-    /// Measured; a count where `error` is 0.
+    /// Measured value; a count where `error` is 0.
     pub value: f64,
     /// Standard error of `value`.
     pub error: f64,
-    /// What is true.
+    /// True value.
     pub truth: f64,
-    /// Samples, or rays, that `value` is of.
+    /// Number of samples or rays behind `value`.
     pub samples: u64,
-    /// Samples that are NaN, infinite or negative.
+    /// Number of samples that are NaN, infinite or negative.
     pub bad: u64,
-    /// Time taken.
+    /// Duration of the measurement.
     pub seconds: f64,
-    /// Whether it holds.
+    /// Verdict of the comparison.
     pub verdict: Verdict,
 }
 
 impl Line {
-    /// A count of faults among `samples`, which is to be 0.
+    /// Creates a line for a count of faults among `samples`, which must be 0.
     pub fn faults(name: impl Into<String>, faults: u64, samples: u64, seconds: f64, what: &str) -> Self {
         let verdict = if faults == 0 { Verdict::Holds } else { Verdict::Fails(format!("{faults} {what}")) };
         Self { name: name.into(), value: faults as f64, error: 0.0, truth: 0.0, samples, bad: 0, seconds, verdict }
     }
 
-    /// How many standard errors the value is from the truth; 0 where both are counts.
+    /// Returns the distance of the value from the truth in standard errors; 0 where both are counts.
     pub fn z(&self) -> f64 {
         if self.error > 0.0 { (self.value - self.truth) / self.error } else { 0.0 }
     }
 
-    /// Whether it holds.
+    /// Checks whether the value agrees with the truth.
     pub fn holds(&self) -> bool {
         self.verdict == Verdict::Holds
     }

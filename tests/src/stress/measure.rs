@@ -1,4 +1,4 @@
-//! Means of scenes to a wanted standard error, beside the truth.
+//! Measures mean luminances of scenes to a given standard error, and compares them with the truth.
 
 use super::line::{Line, Verdict};
 use crate::scene_of;
@@ -10,116 +10,116 @@ use femc_prepared::Prepared;
 use rayon::prelude::*;
 use std::time::Instant;
 
-/// Independent renderings of a mean; their number fixes the degrees of freedom of its standard error.
+/// Independent renderings per mean. Their number determines the degrees of freedom of its standard error.
 const RENDERINGS: u64 = 64;
-/// Standard errors that a mean may be from the truth.
+/// Permitted distance of a mean from the truth, in standard errors.
 const FAR: f64 = 3.0;
-/// Times that a mean which is too far away is measured.
+/// Number of measurements before a mean that is too far from the truth fails.
 const TRIES: u64 = 3;
 
-/// How much is measured.
+/// Effort of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
-    /// Factor on the standard errors that are wanted: 1 for a full run, 10 for a quick one, which leaves out long cases, too.
+    /// Factor on the target standard errors: 1 for a full run, 10 for a quick one, which also leaves out long cases.
     pub coarser: f64,
-    /// Grazing rays.
+    /// Number of grazing rays.
     pub rays: u64,
 }
 
 impl Effort {
-    /// Everything: the standard errors that the cases state.
+    /// Full run, with the standard errors that the cases state.
     pub const FULL: Self = Self { coarser: 1.0, rays: 100_000_000 };
-    /// In seconds.
+    /// Quick run, which takes seconds.
     pub const QUICK: Self = Self { coarser: 10.0, rays: 1_000_000 };
 
-    /// Whether long cases are left out.
+    /// Checks whether long cases are left out.
     pub fn is_quick(&self) -> bool {
         self.coarser >= Self::QUICK.coarser
     }
 }
 
-/// A scene whose mean luminance is known.
+/// A scene with known mean luminance.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// What is special about it.
+    /// Name that tells the special feature of the scene.
     pub name: String,
-    /// The scene's files; the first is the scene itself.
+    /// Files of the scene; the first is the scene itself.
     pub files: Vec<(String, String)>,
-    /// Mean luminance of the film, cd/m2.
+    /// True mean luminance of the film, cd/m2.
     pub truth: f64,
-    /// Standard error that is wanted, relative to the truth.
+    /// Target standard error, relative to the truth.
     pub sigma: f64,
-    /// Longest path in segments; 0: no bound.
+    /// Longest path in segments; 0: unlimited.
     pub max_depth: u32,
-    /// What the scene itself may be off, relative: rounding of single precision, or what a comment says.
+    /// Permitted relative error of the scene itself, from rounding of single precision or as a comment explains.
     pub slack: f64,
-    /// Whether a quick run leaves it out.
+    /// A quick run leaves this case out.
     pub is_long: bool,
 }
 
-/// A mean luminance.
+/// A measured mean luminance.
 #[derive(Clone, Copy, Debug)]
 pub struct Measured {
-    /// Of all samples, cd/m2.
+    /// Mean of all samples, cd/m2.
     pub mean: f64,
-    /// Its standard error, by what independent renderings differ.
+    /// Standard error of the mean, from the spread of independent renderings.
     pub error: f64,
-    /// Samples.
+    /// Number of samples.
     pub samples: u64,
-    /// Samples that are NaN, infinite or negative; they are not in the mean.
+    /// Number of samples that are NaN, infinite or negative. They are not part of the mean.
     pub bad: u64,
 }
 
 impl Case {
-    /// A scene of one file, to a thousandth.
+    /// Creates a case with a scene of one file and a target standard error of 1e-3.
     pub fn new(name: impl Into<String>, text: impl Into<String>, truth: f64) -> Self {
         let files = vec![("stress.mgf".to_owned(), text.into())];
         Self { name: name.into(), files, truth, sigma: 1e-3, max_depth: 0, slack: 1e-5, is_long: false }
     }
 
-    /// To another standard error.
+    /// Sets the target standard error.
     pub fn to(self, sigma: f64) -> Self {
         Self { sigma, ..self }
     }
 
-    /// With paths of so many segments at most.
+    /// Limits paths to `max_depth` segments.
     pub fn depth(self, max_depth: u32) -> Self {
         Self { max_depth, ..self }
     }
 
-    /// With a scene that is off by so much.
+    /// Sets the permitted error of the scene itself.
     pub fn slack(self, slack: f64) -> Self {
         Self { slack, ..self }
     }
 
-    /// Not in a quick run.
+    /// Leaves the case out of quick runs.
     pub fn long(self) -> Self {
         Self { is_long: true, ..self }
     }
 
-    /// With another file.
+    /// Adds another file.
     pub fn file(mut self, name: &str, text: impl Into<String>) -> Self {
         self.files.push((name.to_owned(), text.into()));
         self
     }
 
-    /// The scene's first frame, ready to trace.
+    /// Prepares the scene's first frame for tracing.
     ///
     /// # Panics
-    /// If it is no scene.
+    /// If the text is not a scene.
     pub fn prepare(&self) -> Prepared {
         let files: Vec<_> = self.files.iter().map(|(name, text)| (name.as_str(), text.as_str())).collect();
         let source = Source::new(scene_of(&files));
         prepare(&source, &Settings::default(), 1, None).unwrap_or_else(|error| panic!("{}: {error}", self.name))
     }
 
-    /// First of its seeds: cases do not share their random numbers, so that their errors are independent.
+    /// Returns the first of the case's seeds. Cases do not share random numbers, so that their errors are independent.
     fn seed(&self) -> u64 {
         let digest = blake3::hash(self.name.as_bytes());
         u64::from_le_bytes(*digest.as_bytes().first_chunk().expect("eight bytes")) >> 8
     }
 
-    /// Measures it.
+    /// Measures the case.
     pub fn line(&self, group: &str, effort: &Effort) -> Line {
         let begun = Instant::now();
         let prepared = self.prepare();
@@ -163,20 +163,20 @@ pub fn all(group: &str, cases: &[Case], effort: &Effort, tell: &mut dyn FnMut(Li
     }
 }
 
-/// Greatest number of samples a pixel and rendering.
+/// Largest number of samples per pixel and rendering.
 const MOST: u32 = 1 << 22;
 
-/// Mean to a standard error. Pilots with seeds of their own fix the number of samples, so that it does not depend on the samples that
-/// count; what turns out noisier than its pilot is measured anew.
+/// Measures a mean to a given standard error. Pilot runs with their own seeds determine the number of samples, so that it does not
+/// depend on the samples that count. A result that is noisier than its pilot is measured again.
 fn to_error(prepared: &Prepared, max_depth: u32, wanted: f64, seed: u64) -> Measured {
     let mut spp = 1u32;
     for run in 0.. {
         let pilot = renderings(prepared, max_depth, spp, seed + ((2 * run) << 16));
         let factor = 1.3 * (pilot.error / wanted).powi(2);
-        // A pilot of few samples may not know what there is: 64 times its own samples are as many as it is trusted with.
+        // A pilot with few samples may miss rare bright paths. It may raise the number of samples by a factor of at most 64.
         let is_enough = factor <= 64.0;
         let next = (f64::from(spp) * factor.clamp(1.0, 64.0)).ceil().min(f64::from(MOST)) as u32;
-        // Multiples of a power of two share their points more evenly.
+        // Multiples of a power of two distribute their points more evenly.
         spp = next.next_multiple_of((next.next_power_of_two() / 16).max(1)).min(MOST);
         if is_enough || spp == MOST {
             let measured = renderings(prepared, max_depth, spp, seed + ((2 * run + 1) << 16));
@@ -188,7 +188,7 @@ fn to_error(prepared: &Prepared, max_depth: u32, wanted: f64, seed: u64) -> Meas
     unreachable!("the number of samples grows up to its bound")
 }
 
-/// Mean by [`RENDERINGS`] renderings of `spp` samples a pixel.
+/// Computes the mean of [`RENDERINGS`] renderings of `spp` samples per pixel.
 fn renderings(prepared: &Prepared, max_depth: u32, spp: u32, seed: u64) -> Measured {
     let [width, height] = prepared.camera.film;
     let rendering = |seed: u64| {

@@ -1,4 +1,4 @@
-//! Closed rooms of one radiance with something in the air: the mean is that radiance if the air gives what it takes.
+//! Closed rooms of uniform radiance with a medium: the mean is that radiance if the medium emits as much as it absorbs.
 
 use super::Line;
 use super::furnace::sigma;
@@ -13,25 +13,25 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
     all("media", &cases, effort, tell);
 }
 
-/// A medium of extinction `sigma_t`, 1/m, and this albedo, whose glow is that of a room of luminance 1.
+/// Returns a medium of extinction `sigma_t`, 1/m, and this albedo. Its glow is that of a room of luminance 1.
 fn gas(sigma_t: f64, albedo: f64, more: &str) -> String {
     let sigma_a = sigma_t * (1.0 - albedo);
     format!("medium gas =\n sigma_s {}\n sigma_a {sigma_a}\n glow {}\n{more}", sigma_t * albedo, 4.0 * PI * sigma_a)
 }
 
-/// A room of 2 m across which the optical thickness is 1e-6 to 1e4.
+/// Rooms 2 m across, with optical thicknesses from 1e-6 to 1e4.
 fn thicknesses() -> Vec<Case> {
     let mut cases = Vec::new();
     for albedo in [0.0, 0.5, 0.999, 1.0] {
         for thickness in [1e-6, 1e-3, 1.0, 1e2, 1e4] {
-            // Light leaves fog that absorbs nothing by its walls alone: after some 1e4 events here, some 1e8 in the thickest.
+            // Light leaves fog that absorbs nothing only at the walls: after some 1e4 events here, some 1e8 in the thickest.
             if albedo == 1.0 && thickness > 1e2 {
                 continue;
             }
             let text = furnace(1.0, 1.0, 0.5) + &gas(0.5 * thickness, albedo, "") + "mglobal gas\n";
             let case = Case::new(format!("optical thickness {thickness:e}, albedo {albedo}"), text, 1.0);
             let case = case.to(sigma(albedo));
-            // Paths of a thousand events and more: a thousandth would take ten minutes each.
+            // Paths have a thousand events and more. A standard error of 1e-3 would take ten minutes each.
             cases.push(if albedo > 0.9 && thickness > 1.0 { case.to(5e-3).long() } else { case });
         }
     }

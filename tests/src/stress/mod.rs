@@ -1,11 +1,12 @@
-//! Scenes at the edges of what a scene may be, each beside what is true of it: `cargo run --release -p femc-tests --example stress`.
+//! Extreme scenes, each compared with its known truth: `cargo run --release -p femc-tests --example stress`.
 //!
-//! A group is a file with one function that lists its cases; a case is a scene, a measurement and a number (or a count of faults
-//! that must be 0). To add a case, add one to a list; to add a group, a file and a line of [`GROUPS`].
+//! A group is a file with one function that lists its cases. A case is a scene, a measurement and a number (or a count of faults
+//! that must be 0). To add a case, extend a list. To add a group, add a file and a line of [`GROUPS`].
 //!
-//! Means are held against the truth by independent renderings (`measure`): three standard errors. What is farther away is
-//! measured twice again, with four times the samples and from other seeds, and fails when it is too far away all three times. By Student's
-//! distribution with 63 degrees of freedom that is a chance of (0.4 %)^3 = 6e-8 a line: under 2e-5 for a table of 300 lines.
+//! Independent renderings (`measure`) compare means with the truth, with a limit of three standard errors. A mean beyond the limit
+//! is measured twice again, with four times the samples and other seeds. It fails if it is too far away all three times. By
+//! Student's distribution with 63 degrees of freedom, the probability of this is (0.4 %)^3 = 6e-8 per line: under 2e-5 for a table
+//! of 300 lines.
 
 mod faces;
 mod furnace;
@@ -27,12 +28,12 @@ mod tight;
 pub use line::{Line, Verdict};
 pub use measure::{Case, Effort, Measured};
 
-/// A list of lines.
+/// A group of cases.
 #[derive(Clone, Copy)]
 pub struct Group {
-    /// Word by which it is chosen.
+    /// Name on the command line.
     pub name: &'static str,
-    /// What it is about.
+    /// Subject of the group.
     pub about: &'static str,
     run: fn(&Effort, &mut dyn FnMut(Line)),
 }
@@ -70,7 +71,7 @@ pub const GROUPS: &[Group] = &[
 ];
 
 impl Group {
-    /// Measures the group's cases and tells each line as soon as it is known.
+    /// Measures the group's cases and reports each line as soon as it is known.
     pub fn run(&self, effort: &Effort, mut tell: impl FnMut(Line)) {
         (self.run)(effort, &mut tell);
     }

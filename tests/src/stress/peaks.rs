@@ -1,7 +1,8 @@
-//! Phase functions that are nearly a delta, and a lamp as small as their peak: half of what is scattered once meets it.
+//! Phase functions close to a delta, with a lamp as small as their peak, so that half of the light that is scattered once hits it.
 //!
-//! The camera looks through fog at the middle of a ball. What comes straight is L e^-d; what is scattered once, at the distance s,
-//! comes from the ball with the share of the phase function within the angle that the ball has there, and through as much fog.
+//! The camera looks through fog at the center of a ball. The direct light is L e^-d. Light that is scattered once, at distance s,
+//! comes from the ball: its fraction is the integral of the phase function over the ball's angle there. It crosses an equal
+//! thickness of fog.
 
 use super::Line;
 use super::measure::{Case, Effort, all};
@@ -9,7 +10,7 @@ use super::quadrature::integral;
 use crate::text::{camera, material};
 use std::f64::consts::PI;
 
-/// Thickness of the fog, its albedo, and where the ball is.
+/// Optical thickness of the fog, followed by its albedo and the distance of the ball.
 const DEPTH: f64 = 1.0;
 const ALBEDO: f64 = 0.9;
 const FAR: f64 = 2.0;
@@ -18,7 +19,7 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
     let mut cases = Vec::new();
     for peak in [0.1, 1e-2, 1e-3, 1e-4, 1e-5] {
         let parameter = 1.0 - peak;
-        // Half of Henyey-Greenstein's peak is within about 1 - g, of Schlick's within about sqrt(2 (1 - k)).
+        // Half of Henyey-Greenstein's peak lies within about 1 - g, half of Schlick's within about sqrt(2 (1 - k)).
         cases.push(lamp(&format!("hg {parameter}"), 1.0 * peak, |angle| henyey_greenstein(parameter, angle)));
         let wide = (2.0 * peak).sqrt();
         cases.push(lamp(&format!("schlick {parameter}"), wide.min(0.4), |angle| schlick(parameter, angle)));
@@ -28,11 +29,12 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
 
 fn lamp(phase: &str, angle: f64, within: impl Fn(f64) -> f64) -> Case {
     let radius = FAR * angle;
-    // The image is a hundredth of the ball's.
+    // The field of view is a hundredth of the ball's angle.
     let view = camera("0 0 0", "1 0 0", 0.01 * angle.to_degrees()).replace("up .1 .2 .9", "up 0 0 1");
     let fog = format!("medium fog =\n sigma_s {ALBEDO}\n sigma_a {}\n phase {phase}\n", 1.0 - ALBEDO);
     let lamp = material("lamp", &["sides 1", &format!("ed {PI}")]);
-    // Fog to the right and to the left of the ray is as thick: paths to the ball are longer by the square of small angles alone.
+    // Scattered light crosses the same thickness of fog as direct light: paths to the ball are longer only by the square of small
+    // angles.
     let text = format!(
         "{view}{fog}mbox fog 0 -9 -9 {DEPTH} 9 9\n{lamp}v o =\n p {} 0 0\nm lamp\nsph o {radius}\n",
         FAR + radius
@@ -44,7 +46,7 @@ fn lamp(phase: &str, angle: f64, within: impl Fn(f64) -> f64) -> Case {
         .slack(1e-4 + 0.3 * angle * angle)
 }
 
-/// Share within an angle of the forward direction.
+/// Returns the fraction within an angle of the forward direction.
 fn henyey_greenstein(g: f64, angle: f64) -> f64 {
     let versine = 2.0 * (0.5 * angle).sin().powi(2);
     let chord = ((1.0 - g).powi(2) + 2.0 * g * versine).sqrt();

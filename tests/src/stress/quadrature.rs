@@ -1,6 +1,7 @@
-//! Numbers that cases are held against, by quadrature in f64.
+//! Numbers for comparison with cases, from quadrature in f64.
 
-/// Nodes and weights of Gauss-Legendre quadrature on [`low`, `high`], by Newton's method on the Legendre polynomial (\[press2007\]).
+/// Returns nodes and weights of Gauss-Legendre quadrature on [`low`, `high`], from Newton's method on the Legendre polynomial
+/// (\[press2007\]).
 pub fn gauss(n: usize, low: f64, high: f64) -> Vec<(f64, f64)> {
     let (middle, half) = (0.5 * (high + low), 0.5 * (high - low));
     let node = |k: usize| {
@@ -24,7 +25,7 @@ pub fn gauss(n: usize, low: f64, high: f64) -> Vec<(f64, f64)> {
     (0..n).map(node).collect()
 }
 
-/// Integral of `f` on [`low`, `high`] by `pieces` equal pieces of 16 nodes.
+/// Integrates `f` on [`low`, `high`] with `pieces` equal pieces of 16 nodes.
 pub fn integral(low: f64, high: f64, pieces: usize, f: impl Fn(f64) -> f64) -> f64 {
     let rule = gauss(16, 0.0, 1.0);
     let step = (high - low) / pieces as f64;

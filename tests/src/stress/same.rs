@@ -1,5 +1,5 @@
-//! The same scene in other words: scaled, moved, with its triangles in another order, by other numbers of threads (algorithm brief, T16,
-//! T17). Random numbers do not depend on any of that, so that samples are the same ones, as far as rounding lets them.
+//! Equivalent scenes: scaled, moved, with triangles in another order, rendered with another number of threads (algorithm brief,
+//! T16, T17). Random numbers do not depend on any of these, so the samples are equal up to rounding.
 
 use super::Line;
 use super::line::Verdict;
@@ -43,8 +43,8 @@ fn image(text: &str) -> FrameImage {
     render(&scene(text), &Settings { stop: Stop::Spp(16), seed: 5, ..Settings::default() }, 1)
 }
 
-/// A room with a little of everything, `scale` times as large and moved by `shift`. All its coordinates are multiples of 1/64: moved by
-/// whole meters, they are exact.
+/// Returns a room with a little of everything, scaled by `scale` and moved by `shift`. All coordinates are multiples of 1/64, so
+/// that they stay exact when the room moves by whole meters.
 fn room(scale: f64, shift: [f64; 3]) -> String {
     let at = |p: [f64; 3]| [0, 1, 2].map(|i| p[i] * scale + shift[i]);
     let words = |p: [f64; 3]| at(p).map(|x| x.to_string()).join(" ");
@@ -75,12 +75,12 @@ fn room(scale: f64, shift: [f64; 3]) -> String {
     text
 }
 
-/// Random numbers in 0..1.
+/// Draws a number in 0..1.
 fn unit(rng: &mut Rng) -> f64 {
     (rng.bits() >> 40) as f64 / (1u64 << 24) as f64
 }
 
-/// Items in another order, by a seed (Fisher and Yates).
+/// Shuffles items with a seed (Fisher and Yates). Without a seed, keeps their order.
 fn shuffled<T>(mut items: Vec<T>, seed: Option<u64>) -> Vec<T> {
     let Some(seed) = seed else { return items };
     let mut rng = Rng::new(seed);
@@ -92,7 +92,7 @@ fn shuffled<T>(mut items: Vec<T>, seed: Option<u64>) -> Vec<T> {
 
 const VIEW: &str = "camera main =\n origin -2.5 -2 2\n target 0 0 .2\n up 0 0 1\n fov 50\n film 16 16\n";
 
-/// 800 triangles under a lamp, in any order.
+/// Returns 800 triangles under a lamp, in any order.
 fn terrain(order: Option<u64>) -> String {
     let mut rng = Rng::new(7);
     let n = 20;
@@ -111,7 +111,7 @@ fn terrain(order: Option<u64>) -> String {
     format!("{VIEW}{lamp}{}{vertices}m ground\n{faces}", material("ground", &["sides 2", "rd .6"]))
 }
 
-/// 50 lamps of different brightness over a floor, in any order.
+/// Returns 50 lamps of different brightness over a floor, in any order.
 fn lamps(order: Option<u64>) -> String {
     let mut rng = Rng::new(9);
     let lamp = |k: u32| {
@@ -124,7 +124,7 @@ fn lamps(order: Option<u64>) -> String {
     format!("{VIEW}{floor}{}", shuffled(lamps, order).concat())
 }
 
-/// Images with the same bits: how many pixels are not the same.
+/// Counts the pixels whose bits differ.
 fn equal(name: &str, a: &FrameImage, b: &FrameImage) -> Line {
     let begun = Instant::now();
     let bits = |image: &FrameImage| image.color.pixels.iter().map(|p| p.map(f32::to_bits)).collect::<Vec<_>>();
@@ -139,7 +139,7 @@ fn equal(name: &str, a: &FrameImage, b: &FrameImage) -> Line {
     )
 }
 
-/// The mean of `b` over that of `a`, by renderings with the same seeds in pairs.
+/// Compares the means of `b` and `a`, from pairs of renderings with equal seeds.
 fn alike(name: &str, a: &str, b: &str, spp: u32) -> Line {
     const PAIRS: u64 = 64;
     let begun = Instant::now();

@@ -1,9 +1,9 @@
 //! Half spaces and slabs of scattering media (algorithm brief, T10 to T14).
 //!
-//! A slab is a box of 2e4 m across whose thickness is in metres what it is to be in mean free paths. It is lit by a ceiling of luminance 1
-//! right above, so that what the camera sees straight down is the share of light from straight above that comes back (reciprocity), and
-//! what it sees straight up from below the share that comes through. What a patch of a millimetre gets is the mean over all directions,
-//! as a share of the diffuse light that goes in: its luminance over its reflectance.
+//! A slab is a box 2e4 m across. Its thickness in meters equals its thickness in mean free paths. A ceiling of luminance 1 right
+//! above illuminates it. A camera that looks vertically down sees the fraction of vertical light that the slab reflects
+//! (reciprocity). A camera below that looks vertically up sees the transmitted fraction. A patch of a millimeter receives the mean
+//! over all directions. Its luminance over its reflectance is the fraction of the incident diffuse light.
 
 use super::Line;
 use super::measure::{Case, Effort, all};
@@ -31,14 +31,14 @@ enum From {
     Below,
 }
 
-/// A medium of extinction 1 (`more`: its phase function) from z = -`thickness` to 0, under a ceiling.
+/// Returns a medium of extinction 1 (`more`: its phase function) from z = -`thickness` to 0, under a ceiling.
 fn slab(thickness: f64, albedo: f64, more: &str, view: &str) -> String {
     let fog = format!("medium fog =\n sigma_s {albedo}\n sigma_a {}\n{more}", 1.0 - albedo);
     let ceiling = material("ceiling", &["sides 2", &format!("ed {PI}")]) + &level("ceiling", [0.0, 0.0, 1.0], WIDE);
     format!("{view}{fog}mbox fog -{WIDE} -{WIDE} -{thickness} {WIDE} {WIDE} 0\n{ceiling}")
 }
 
-/// Straight at the slab, or at the angle of cosine `mu`.
+/// Returns a camera that looks at the slab at the angle of cosine `mu`.
 fn toward(from: From, thickness: f64, mu: f64) -> String {
     let sin = (1.0 - mu * mu).sqrt();
     match from {
@@ -48,14 +48,14 @@ fn toward(from: From, thickness: f64, mu: f64) -> String {
     .replace("up .1 .2 .9", "up 0 1 0")
 }
 
-/// A patch that faces the slab, and a camera that looks at it from the slab's side.
+/// Returns a patch that faces the slab, and a camera that looks at it from the slab's side.
 fn patch(from: From, thickness: f64) -> String {
     let (z, eye) = match from {
         From::Above => (0.5, 0.49),
         From::Below => (-thickness - 0.5, -thickness - 0.49),
     };
     let view = camera(&format!("0 -1e-4 {eye}"), &format!("0 0 {z}"), 0.01);
-    // Its other side would be lit by the ceiling, and is black.
+    // The other side is black, because the ceiling would illuminate it.
     let corner = |x: f64, y: f64| format!("{x} {y} {z}");
     let h = 5e-4;
     let face = [corner(-h, -h), corner(-h, h), corner(h, h), corner(h, -h)];
@@ -66,8 +66,8 @@ fn patch(from: From, thickness: f64) -> String {
     view + &material("patch", &["sides 1", &format!("rd {RHO}")]) + &crate::text::quad("patch", face)
 }
 
-/// Chandrasekhar's H function for isotropic scattering (\[chandrasekhar1960\]), by iterating
-/// 1/H = sqrt(1-w) + w/2 int H(m) m / (mu + m) dm.
+/// Chandrasekhar's H function for isotropic scattering (\[chandrasekhar1960\]), from iterating 1/H = sqrt(1-w) + w/2 int H(m) m /
+/// (mu + m) dm.
 struct H {
     albedo: f64,
     nodes: Vec<(f64, f64)>,
@@ -76,7 +76,7 @@ struct H {
 
 impl H {
     fn new(albedo: f64) -> Self {
-        // Nodes in the square root of mu, near whose zero H is steep.
+        // The nodes are in the square root of mu, because H is steep near mu = 0.
         let nodes: Vec<_> = gauss(64, 0.0, 1.0).into_iter().map(|(x, w)| (x * x, 2.0 * x * w)).collect();
         let mut this = Self { albedo, values: vec![1.0; nodes.len()], nodes };
         for _ in 0..20_000 {
@@ -95,19 +95,19 @@ impl H {
         1.0 / ((1.0 - self.albedo).sqrt() + 0.5 * self.albedo * sum)
     }
 
-    /// Share of light from `mu` that comes back.
+    /// Returns the reflected fraction of light from `mu`.
     fn plane(&self, mu: f64) -> f64 {
         1.0 - (1.0 - self.albedo).sqrt() * self.at(mu)
     }
 
-    /// Share of diffuse light that comes back.
+    /// Returns the reflected fraction of diffuse light.
     fn spherical(&self) -> f64 {
         let moment: f64 = self.nodes.iter().zip(&self.values).map(|(&(m, w), h)| w * h * m).sum();
         1.0 - 2.0 * (1.0 - self.albedo).sqrt() * moment
     }
 }
 
-/// T10. A depth of 60 diffusion lengths is as good as none below.
+/// T10. A slab of 60 diffusion lengths stands for a half space.
 fn half_spaces() -> Vec<Case> {
     let mut cases = Vec::new();
     for (albedo, depth) in [(0.5, 60.0), (0.8, 90.0), (0.9, 120.0), (0.95, 160.0), (0.99, 350.0)] {
@@ -123,7 +123,7 @@ fn half_spaces() -> Vec<Case> {
     cases
 }
 
-/// f_r = w/(4 pi) H(mu) H(mu0) / (mu + mu0): by a far small lamp at mu0 = 0.6, seen from mu = 1.
+/// f_r = w/(4 pi) H(mu) H(mu0) / (mu + mu0), with a small distant lamp at mu0 = 0.6, seen from mu = 1.
 fn by_lamp(albedo: f64, depth: f64, h: &H) -> Case {
     let (far, radius, mu0) = (1e5, 100.0, 0.6);
     let at = [0.8 * far, 0.0, mu0 * far];
@@ -134,12 +134,12 @@ fn by_lamp(albedo: f64, depth: f64, h: &H) -> Case {
     let text = format!("{view}{fog}mbox fog -{WIDE} -{WIDE} -{depth} {WIDE} {WIDE} 0\n{lamp}");
     let reflectance = albedo / (4.0 * PI) * h.at(1.0) * h.at(mu0) / (1.0 + mu0);
     let irradiance = PI * 1e6 * (radius / far).powi(2) * mu0;
-    // The lamp is 0.1 degrees across.
+    // The lamp has an angular diameter of 0.1 degrees.
     Case::new(format!("half space of albedo {albedo} under a lamp"), text, reflectance * irradiance).slack(1e-4)
 }
 
-/// T11, by a slab of albedo 1 and thickness 10: within some free paths of its dark side light only flows through, and what emerges is
-/// (sqrt 3 / 4 pi) H(mu) F. The flux F is pi times what the slab lets through, 4/3 / (10 + 2 * 0.7104461).
+/// T11, with a slab of albedo 1 and thickness 10. Within some free paths of its dark side light only flows through, and the
+/// emerging radiance is (sqrt 3 / 4 pi) H(mu) F. The flux F is pi times the transmitted fraction, 4/3 / (10 + 2 * 0.7104461).
 fn milne() -> Vec<Case> {
     let thickness = 10.0;
     let h = H::new(1.0);
@@ -152,7 +152,7 @@ fn milne() -> Vec<Case> {
     vec![case(1.0), case(0.5), case(0.1)]
 }
 
-/// T12: (thickness, albedo, [reflected, transmitted] of diffuse light, [..] of light from straight above).
+/// T12: (thickness, albedo, [reflected, transmitted] fraction of diffuse light, [..] of vertical light).
 const ISOTROPIC: [(f64, f64, [f64; 2], [f64; 2]); 11] = [
     (0.1, 1.0, [0.08430, 0.91570], [0.04769, 0.95231]),
     (0.5, 1.0, [0.29583, 0.70417], [0.20251, 0.79749]),
@@ -173,7 +173,7 @@ fn slabs() -> Vec<Case> {
         let (thickness, albedo) = (*thickness, *albedo);
         for (from, k, what) in [(From::Above, 0, "reflected"), (From::Below, 1, "transmitted")] {
             let name = format!("slab of {thickness}, albedo {albedo}, {what}");
-            // The brief's numbers are rounded to 1e-5, its last to 1e-4.
+            // The brief rounds its numbers to 1e-5, the last ones to 1e-4.
             let slack = |truth: f64| 1e-4 + if thickness > 5.0 { 6e-5 } else { 1e-5 } / truth;
             let sigma = if thickness > 2.0 && from == From::Below { 3e-3 } else { 1e-3 };
             let text = slab(thickness, albedo, "", &toward(from, thickness, 1.0));
@@ -186,7 +186,7 @@ fn slabs() -> Vec<Case> {
     cases
 }
 
-/// T14: what is not scattered, 2 E3(tau) of diffuse light and e^-tau of a beam.
+/// T14: unscattered light, 2 E3(tau) of diffuse light and e^-tau of a beam.
 fn unscattered() -> Vec<Case> {
     let mut cases = Vec::new();
     for thickness in [1e-4, 0.1, 1.0, 5.0] {
@@ -199,7 +199,7 @@ fn unscattered() -> Vec<Case> {
     cases
 }
 
-/// T13: Henyey-Greenstein's g = 0.75, thickness 2, albedo 0.9: van de Hulst's table, as cited by \[wang1995\].
+/// T13: Henyey-Greenstein with g = 0.75, thickness 2, albedo 0.9: van de Hulst's table, as cited by \[wang1995\].
 fn forward() -> Vec<Case> {
     let case = |from: From, what: &str, truth: f64| {
         let text = slab(2.0, 0.9, " phase hg .75\n", &toward(from, 2.0, 1.0));
@@ -208,8 +208,8 @@ fn forward() -> Vec<Case> {
     vec![case(From::Above, "reflected", 0.09739), case(From::Below, "transmitted", 0.66096)]
 }
 
-/// T13: a half space of albedo 0.9 behind an interface of index 1.5: Giovanelli's 0.2600 (1955), as cited by \[wang1995\], of a beam from
-/// straight above.
+/// T13: a half space of albedo 0.9 behind an interface of index 1.5: Giovanelli's 0.2600 (1955) for a vertical beam, as cited by
+/// \[wang1995\].
 fn giovanelli() -> Case {
     let depth = 120.0;
     let skin = material("skin", &["sides 1", "ir 1.5 0", "ts 1 0", "inside fog"]);

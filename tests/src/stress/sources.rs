@@ -1,4 +1,4 @@
-//! Point sources in endless media (algorithm brief, T8 and T9): the radiance of a ray.
+//! Point sources in unbounded media (algorithm brief, T8 and T9): radiance of a ray.
 
 use super::Line;
 use super::measure::{Case, Effort, all};
@@ -6,7 +6,7 @@ use super::quadrature::integral;
 use crate::text::{block, camera, material};
 use std::f64::consts::PI;
 
-/// One candela in all directions.
+/// A source of one candela in all directions.
 const POINT: &str =
     "IESNA:LM-63-2002\n[TEST] isotropic\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n1 1 1\n0 90 180\n0\n1 1 1\n";
 
@@ -23,9 +23,10 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
     all("sources", &cases, effort, tell);
 }
 
-/// A ray from `start` to `end` along x, the source `h` beside x = 0: sigma_s exp(-sigma_t (x - start + r)) / (4 pi r^2), once scattered.
+/// A ray from `start` to `end` along x, with the source at distance `h` from x = 0. Single scattering: sigma_s exp(-sigma_t (x -
+/// start + r)) / (4 pi r^2).
 fn airlight() -> Vec<Case> {
-    // (sigma_s, sigma_t, h, start, end, the brief's number)
+    // (sigma_s, sigma_t, h, start, end, number in the brief)
     let known = [
         (1.0, 1.0, 1.0, 0.0, f64::INFINITY, 0.015_382_72),
         (1.0, 1.0, 1.0, -2.0, f64::INFINITY, 0.008_933_162),
@@ -55,7 +56,7 @@ fn single(sigma_s: f64, sigma_t: f64, h: f64, start: f64, end: f64) -> f64 {
     })
 }
 
-/// No scattering: a diffuse patch that faces the source gets exp(-sigma_a r) / r^2.
+/// No scattering: a diffuse patch that faces the source receives exp(-sigma_a r) / r^2.
 fn absorber() -> Case {
     let view = camera("0 0 .01", "0 1e-4 0", 0.01);
     let floor = material("floor", &["sides 2", "rd .5"]) + &crate::text::level("floor", [0.0; 3], 1.0);
@@ -64,7 +65,8 @@ fn absorber() -> Case {
     Case::new("source in an absorber", text, truth).file("point.ies", POINT).slack(1e-4)
 }
 
-/// The radiance of a ray through an isotropic scatterer of extinction 1: of all orders, w / (4 pi) times the integral of the fluence.
+/// Radiance of a ray through an isotropic scatterer of extinction 1, from all orders of scattering: w / (4 pi) times the integral
+/// of the fluence.
 /// - `r0`: distance of its start from the source; `cos`: of its angle with the direction away from the source.
 fn scattered(name: &str, fluence: &Fluence, r0: f64, cos: f64) -> Case {
     let albedo = fluence.albedo;
@@ -83,7 +85,7 @@ fn scattered(name: &str, fluence: &Fluence, r0: f64, cos: f64) -> Case {
 /// 4 pi {e^-r / (4 pi r^2) + 1 / (2 pi^2 r) int k sin(kr) w (atan k / k)^2 / (1 - w atan k / k) dk}, tabulated.
 struct Fluence {
     albedo: f64,
-    /// r times the scattered part, by steps of [`STEP`].
+    /// r times the scattered part, in steps of [`STEP`].
     table: Vec<f64>,
 }
 
@@ -100,7 +102,7 @@ impl Fluence {
 
     fn at(&self, r: f64) -> f64 {
         let x = (r / STEP).min(f64::from(STEPS));
-        // Cubic through four neighbours.
+        // Cubic interpolation through four neighbors.
         let k = (x as usize).clamp(1, STEPS as usize - 2);
         let t = x - k as f64;
         let p = &self.table[k - 1..k + 3];
@@ -113,7 +115,8 @@ impl Fluence {
     }
 }
 
-/// The scattered part alone, over half periods of the sine; their alternating sum by repeated averages of its partial sums.
+/// Returns the scattered part, from integrals over half periods of the sine. Repeated averages of the partial sums accelerate their
+/// alternating sum.
 fn scattered_fluence(albedo: f64, r: f64) -> f64 {
     let f = |k: f64| {
         let a = if k < 1e-6 { 1.0 } else { k.atan() / k };
@@ -121,7 +124,7 @@ fn scattered_fluence(albedo: f64, r: f64) -> f64 {
     };
     let mut sums = Vec::new();
     let mut sum = 0.0;
-    // Small k by short steps where r is small and half periods are long.
+    // Small k need short steps where r is small and half periods are long.
     for n in 0..40u32 {
         let (low, high) = (PI / r * f64::from(n), PI / r * f64::from(n + 1));
         let pieces = if n == 0 { (high.ln().max(1.0) * 40.0) as usize } else { 8 };
@@ -154,7 +157,7 @@ mod tests {
                 let here = fluence.at(r) / (4.0 * PI);
                 assert!((here / value - 1.0).abs() < 1e-4, "{albedo} {r}: {here}, not {value}");
             }
-            // What is absorbed is what is sent: the integral of the fluence is 1 / (1 - w).
+            // The absorbed light equals the emitted light, so the integral of the fluence is 1 / (1 - w).
             let all = super::integral(1e-3, 24.0, 1000, |r| r * r * fluence.at(r));
             assert!((all * (1.0 - albedo) - 1.0).abs() < 5e-3, "{albedo}: {all}");
         }

@@ -18,8 +18,8 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
     all("spheres", &cases, effort, tell);
 }
 
-/// Absorbing gas of thickness x = kappa R, a wall of luminance 1 and reflectance 1/2: the wall's share of its own light is
-/// F = (1 - (1 + 2x) e^{-2x}) / (2 x^2), and the camera in the middle sees all of it through e^-x.
+/// Absorbing gas of thickness x = kappa R, and a wall of luminance 1 and reflectance 1/2. The wall receives the fraction F = (1 -
+/// (1 + 2x) e^{-2x}) / (2 x^2) of its own light. The camera at the center sees the wall through e^-x.
 fn gas(x: f64) -> Vec<Case> {
     let share =
         if x < 0.01 { 1.0 - 4.0 / 3.0 * x + x * x } else { (1.0 - (1.0 + 2.0 * x) * (-2.0 * x).exp()) / (2.0 * x * x) };
@@ -32,8 +32,8 @@ fn gas(x: f64) -> Vec<Case> {
     ]
 }
 
-/// A sphere of reflectance `rho` with a black lamp over the opening of a cap: the lamp's light is even on the rest of the sphere, f of
-/// whose whole area is the cap's, and each round loses f and 1 - rho: E = pi L f / (1 - rho (1 - f)).
+/// A sphere of reflectance `rho` with a black lamp over the opening of a cap. The lamp illuminates the rest of the sphere evenly.
+/// The cap has the fraction f of the sphere's area, and each round loses f and 1 - rho: E = pi L f / (1 - rho (1 - f)).
 fn with_port(rho: f64) -> Case {
     let h: f64 = 0.9;
     let f = 0.5 * (1.0 - h);
@@ -44,13 +44,13 @@ fn with_port(rho: f64) -> Case {
     Case::new(format!("sphere of reflectance {rho} with a port of {f:.2}"), text, rho * f / (1.0 - rho * (1.0 - f)))
 }
 
-/// A black ball of 5 cm and 1000 lm, 20 cm above the middle of a sphere of 1 m: nearly Phi rho / (A (1 - rho (1 - f))) with f the ratio
-/// of the areas, but the lamp is nearer to the top and throws a shadow on what comes from behind it. By an integral equation for the
-/// illuminance, which depends on the height alone.
+/// A black ball of 5 cm and 1000 lm, 20 cm above the center of a sphere of 1 m. The result is nearly Phi rho / (A (1 - rho (1 -
+/// f))) with f the ratio of the areas, but the lamp is nearer to the top and casts a shadow. The truth comes from an integral
+/// equation for the illuminance, which depends only on the height.
 fn with_lamp(rho: f64) -> Case {
     let text = INTEGRATING_SPHERE.replace("rd 0.99", &format!("rd {rho}"));
     let wall = Illuminance::new(rho);
-    // The film's mean, by the middles of 96 x 96 pixels.
+    // The film's mean is taken over the centers of 96 x 96 pixels.
     let n = 96;
     let half = 30f64.to_radians().tan();
     let at = |k: i32| half * (2.0 * (f64::from(k) + 0.5) / f64::from(n) - 1.0);
@@ -66,7 +66,7 @@ fn with_lamp(rho: f64) -> Case {
     Case::new(format!("integrating sphere of reflectance {rho}"), text, truth).slack(1e-5)
 }
 
-/// The scene whose truth this is.
+/// Scene for this truth.
 const INTEGRATING_SPHERE: &str = "camera main =\n origin 0 0 -.5\n target 1 0 -.5\n fov 60\n film 8 8\n\
     m wall =\n sides 1\n c\n rd 0.99\nm lamp =\n sides 1\n c\n ed 31830.9886\n\
     m wall\nv o =\n p 0 0 0\nsph o -1\nm lamp\nv l =\n p 0 0 .2\nsph l .05\n";
@@ -81,7 +81,7 @@ const RADIUS: f64 = 0.05;
 impl Illuminance {
     fn new(rho: f64) -> Self {
         let height = |k: usize| 2.0 * k as f64 / STEPS as f64 - 1.0;
-        // Direct: (R/d)^2 cos times pi L. The share of the wall's light that the lamp hides is the same number.
+        // The direct light is (R/d)^2 cos times pi L. The lamp hides the same fraction of the wall's light.
         let share = |z: f64| {
             let d2 = 1.0 + LAMP[2] * LAMP[2] - 2.0 * z * LAMP[2];
             RADIUS * RADIUS * (1.0 - z * LAMP[2]) / (d2 * d2.sqrt())
@@ -91,14 +91,15 @@ impl Illuminance {
         let (rings, middles) = (gauss(8, 0.0, 1.0), 16);
         let average = |of: &[f64]| (0..STEPS).map(|k| 0.5 * (of[k] + of[k + 1])).sum::<f64>() / STEPS as f64;
         for _ in 0..100 {
-            // What is hidden at each height, as a share of the mean; then the mean that this and the direct light make.
+            // First the hidden light at each height, as a fraction of the mean. Then the mean that follows from this and the direct
+            // light.
             let mean = average(&all.0);
             let lost: Vec<f64> = (0..=STEPS)
                 .map(|k| {
                     let z = height(k);
                     let from = [(1.0 - z * z).max(0.0).sqrt(), 0.0, z];
-                    // The mean over the shadow, by the solid angle times the cosine over twice the sine of the chord: uniform on
-                    // the wall. All of the lamp's disc is nearly at one place: directions in its cone, evenly by area.
+                    // The mean over the shadow is uniform on the wall: weight the solid angle by the cosine over twice the sine of
+                    // the chord. The lamp's disc is nearly at one position, so directions in its cone are even by area.
                     let toward = [0, 1, 2].map(|i| LAMP[i] - from[i]);
                     let d = toward.iter().map(|x| x * x).sum::<f64>().sqrt();
                     let axis = toward.map(|x| x / d);
@@ -111,7 +112,7 @@ impl Illuminance {
                         for m in 0..middles {
                             let (b, a) = (TAU * (f64::from(m) + 0.5) / f64::from(middles)).sin_cos();
                             let dir = [0, 1, 2].map(|i| axis[i] * cos + (u[i] * a + v[i] * b) * sin);
-                            // On the wall: dA = 4 cos dw (chord 2 cos): weight by the cosine and by dw = sin dsin / cos.
+                            // On the wall, dA = 4 cos dw (chord 2 cos), so weight by the cosine and by dw = sin dsin / cos.
                             let at_wall = -(dir[0] * from[0] + dir[1] * from[1] + dir[2] * from[2]);
                             let w = w * at_wall / cos;
                             hidden += w * all.at(chord(from, dir)[2]);
@@ -140,7 +141,7 @@ impl Illuminance {
     }
 }
 
-/// Where a ray from a place in the unit sphere meets it.
+/// Returns the point where a ray from a point in the unit sphere hits it.
 fn chord(from: [f64; 3], dir: [f64; 3]) -> [f64; 3] {
     let b: f64 = (0..3).map(|i| from[i] * dir[i]).sum();
     let c = from.iter().map(|x| x * x).sum::<f64>() - 1.0;

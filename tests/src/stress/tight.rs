@@ -1,7 +1,8 @@
 //! Grazing rays along edges and through vertices of closed meshes, from inside: none may get out.
 //!
-//! Meshes are star-shaped about their middle, so that a vertex, or a point of a face, drawn toward the middle is inside. Each ray begins
-//! there, anywhere or a little below the surface, and goes through a vertex, through a point of an edge, or along an edge.
+//! Meshes are star-shaped about their center, so a vertex or a point of a face that is moved toward the center is inside. Each ray
+//! begins at such a point, anywhere inside or slightly below the surface. It passes through a vertex, through a point of an edge,
+//! or along an edge.
 
 use super::Line;
 use super::measure::Effort;
@@ -36,7 +37,7 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
         for (place_name, place) in places {
             tell(leaks(&format!("tight: {name}{place_name}"), &mesh, place, rays));
         }
-        // Needles lose their area there, and vertices fall together.
+        // Rounding makes needles degenerate and merges vertices.
         let rounded: Triangles =
             mesh.triangles.iter().map(|triangle| triangle.map(|p| far.transform_point3a(p))).collect();
         let mesh = Mesh::new(rounded, far.translation);
@@ -60,7 +61,7 @@ impl Mesh {
     }
 }
 
-/// The faces of a cube by n x n cells whose corners are warped along the face.
+/// Returns a cube whose faces have n x n cells with warped corners.
 fn cube(n: usize, warp: impl Fn(f32) -> f32) -> Triangles {
     let place = |i: usize| warp(2.0 * i as f32 / n as f32 - 1.0);
     let mut mesh = Vec::new();
@@ -80,7 +81,7 @@ fn cube(n: usize, warp: impl Fn(f32) -> f32) -> Triangles {
     mesh
 }
 
-/// A globe of rings by spokes of the radius `radius`.
+/// Returns a globe of rings and spokes with the radius `radius`.
 fn globe(rings: usize, spokes: usize, radius: impl Fn(Vec3A) -> f32) -> Triangles {
     let corner = |i: usize, j: usize| {
         let (sin, cos) = if i == 0 {
@@ -107,7 +108,7 @@ fn globe(rings: usize, spokes: usize, radius: impl Fn(Vec3A) -> f32) -> Triangle
     mesh
 }
 
-/// SplitMix64 (\[steele2014\]): numbers by their place, whatever thread asks.
+/// SplitMix64 (\[steele2014\]) as a function of index and dimension, independent of threads.
 fn random(index: u64, dimension: u64) -> u64 {
     let mut z = index.wrapping_mul(16).wrapping_add(dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -135,7 +136,7 @@ fn leaks(name: &str, mesh: &Mesh, place: Affine3A, rays: u64) -> Line {
     Line::faults(name, leaks, rays, seconds, "rays get out")
 }
 
-/// Whether ray `index` meets nothing. Every other one is asked for any hit, the others for the nearest.
+/// Checks whether ray `index` hits nothing. Rays alternate between any-hit and nearest-hit queries.
 fn gets_out(world: &World, mesh: &Mesh, place: Affine3A, index: u64) -> bool {
     let pick = |dimension: u64| &mesh.triangles[(random(index, dimension) % mesh.triangles.len() as u64) as usize];
     let target = pick(0);
@@ -145,14 +146,14 @@ fn gets_out(world: &World, mesh: &Mesh, place: Affine3A, index: u64) -> bool {
     let through = if kind == 0 { a } else { a + (b - a) * unit(index, 3) };
     let inward = |p: Vec3A, factor: f32| mesh.middle + (p - mesh.middle) * factor;
     let (start, through) = match kind {
-        // From anywhere inside.
+        // From any point inside.
         0 | 1 => {
             let [p, q, r] = pick(4);
             let (u, v) = (unit(index, 5), unit(index, 6));
             let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
             (inward(*p + (*q - *p) * u + (*r - *p) * v, 0.98 * unit(index, 7)), through)
         }
-        // From a little below the same triangle: through an edge, and along it.
+        // From slightly below the same triangle: through an edge, or along it.
         2 => (inward(target[(k + 2) % 3], below(index)), through),
         _ => (inward(through, below(index)), b + (b - a) * 1e-3),
     };
@@ -162,7 +163,7 @@ fn gets_out(world: &World, mesh: &Mesh, place: Affine3A, index: u64) -> bool {
     if index.is_multiple_of(2) { world.intersect(&ray).is_none() } else { !world.occluded(&ray) }
 }
 
-/// A factor that draws a point of the surface inside by 1e-4 to 1e-1 of its distance from the middle.
+/// Draws a factor that moves a point of the surface inward by 1e-4 to 1e-1 of its distance from the center.
 fn below(index: u64) -> f32 {
     1.0 - 10f32.powf(-1.0 - 3.0 * unit(index, 8))
 }

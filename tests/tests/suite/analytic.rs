@@ -1,4 +1,4 @@
-//! Scenes whose radiance is known in closed form. Every check is statistical at a stated level, or exact.
+//! Scenes with closed-form radiance. Every check is statistical at a stated level, or exact.
 
 use femc_film::FrameImage;
 use femc_math::color::LUMINANCE_WEIGHTS;
@@ -9,7 +9,7 @@ fn spp(n: u32) -> Settings {
     Settings { stop: Stop::Spp(n), seed: 5, ..Settings::default() }
 }
 
-/// Mean luminance of the image and (an upper bound of) its standard error.
+/// Returns the mean luminance of the image and an upper bound of its standard error.
 fn mean(image: &FrameImage) -> (f64, f64) {
     let weights = LUMINANCE_WEIGHTS.to_array().map(f64::from);
     let dot = |p: &[f32; 3], map: fn(f64) -> f64| (0..3).map(|i| weights[i] * map(f64::from(p[i]))).sum::<f64>();
@@ -19,14 +19,14 @@ fn mean(image: &FrameImage) -> (f64, f64) {
     (sum / n, variance.sqrt() / n)
 }
 
-/// Within 4 standard errors (two-sided level 6e-5), plus `slack` (relative) for f32 in the scene itself.
+/// Checks that the mean is within 4 standard errors (two-sided level 6e-5), plus `slack` (relative) for f32 in the scene itself.
 fn agrees(image: &FrameImage, expected: f64, slack: f64) {
     let (value, error) = mean(image);
     println!("{value} +- {error}, expected {expected}");
     assert!(value.is_finite() && (value - expected).abs() <= 4.0 * error + slack * expected);
 }
 
-/// A closed box around the origin whose walls have material `wall`, seen from inside.
+/// Returns a closed box around the origin with walls of material `wall`, seen from inside.
 fn closed_box(wall: &str, extra: &str) -> String {
     format!(
         "camera main =\n origin 0.3 0.2 0.1\n target 1 0.4 0\n fov 60\n film 16 16\n{extra}\nm wall =\n{wall}\n\
@@ -49,7 +49,7 @@ fn a_furnace_with_glossy_walls_agrees_with_its_own_losses_only() {
 
 #[test]
 fn a_furnace_of_which_nearly_nothing_is_absorbed_is_as_bright_as_any() {
-    // A path has lost nothing when it ends, however long: the weights stay 1 and the variance finite.
+    // A path has lost nothing when it ends, however long it is: the weights stay 1 and the variance is finite.
     for wall in [" sides 2\n c\n rd .99\n ed 3.14159265358979", " sides 2\n c\n rd .4\n rs .59 0\n ed 3.14159265358979"]
     {
         agrees(&render(&scene(&closed_box(wall, "")), &spp(64), 1), 100.0, 1e-4);
@@ -106,17 +106,17 @@ fn a_clear_absorber_attenuates_exactly() {
                 v a =\n p 5 -9 -9\nv b =\n p 5 9 -9\nv c =\n p 5 9 9\nv d =\n p 5 -9 9\nm wall\nf a b c d\n";
     let boxed = format!("{wall}medium gas =\n sigma_a .8\nmbox gas 1 -9 -9 3 9 9\n");
     agrees(&render(&scene(&boxed), &spp(4), 1), (-1.6f64).exp(), 1e-4);
-    // Two that overlap add up.
+    // Two overlapping media add up.
     let two = format!("{boxed}medium more =\n sigma_a .5\nmbox more 2 -9 -9 9 9 9\n");
     agrees(&render(&scene(&two), &spp(4), 1), (-1.6f64 - 1.5).exp(), 1e-4);
-    // Fog that thins with height: horizontal rays at z = 0 with z0 = -1 and scale 2 see exp(-1/2) of it.
+    // Fog that thins with height: horizontal rays at z = 0, with z0 = -1 and scale 2, see exp(-1/2) of its density.
     let height = format!("{wall}medium gas =\n sigma_a .8\n density height -1 2\nmglobal gas\n");
     agrees(&render(&scene(&height), &spp(4), 1), (-0.8 * 5.0 * (-0.5f64).exp()).exp(), 1e-3);
 }
 
 #[test]
 fn a_diffuse_floor_under_a_sphere_receives_its_form_factor() {
-    // dA -> sphere straight above: F = (R / d)^2; L = rho / pi * pi * L_lamp * F.
+    // Area element dA to a sphere vertically above: F = (R / d)^2; L = rho / pi * pi * L_lamp * F.
     let text = "camera main =\n origin 0 -.001 1\n target 0 0 0\n up 0 1 0\n fov .05\n film 4 4\n\
                 m floor =\n sides 2\n c\n rd .6\nm lamp =\n sides 1\n c\n ed 314.159265358979\n\
                 v a =\n p -1 -1 0\nv b =\n p 1 -1 0\nv c =\n p 1 1 0\nv d =\n p -1 1 0\nm floor\nf a b c d\n\
@@ -126,8 +126,8 @@ fn a_diffuse_floor_under_a_sphere_receives_its_form_factor() {
 
 #[test]
 fn airlight_of_a_point_source_has_its_closed_form() {
-    // Isotropic point of 1 cd at distance 1 from the line of sight, sigma_s = sigma_t = 1, eye 2 m before the foot:
-    // 0.008933162 (Gauss quadrature of exp(-(t + 2) - r) / (4 pi r^2)).
+    // Isotropic point of 1 cd at distance 1 from the line of sight, sigma_s = sigma_t = 1, eye 2 m before the foot: 0.008933162
+    // (Gauss quadrature of exp(-(t + 2) - r) / (4 pi r^2)).
     let ies = "IESNA:LM-63-2002\n[TEST] isotropic\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n1 1 1\n0 90 180\n0\n1 1 1\n";
     let text = "camera main =\n origin -2 0 0\n target 0 0 0\n fov .02\n film 8 8\n\
                 medium fog =\n sigma_s 1\nmglobal fog\nies lamp.ies -t 0 0 1\n";
@@ -197,7 +197,7 @@ fn a_moved_scene_gives_the_same_image() {
 
 #[test]
 fn a_small_lamp_that_is_placed_lights_as_much_as_one_that_is_baked() {
-    // Lights were once rounded apart from the surfaces that rays meet: shadow rays ended behind a near small lamp.
+    // Regression: lights were rounded differently from the surfaces that rays hit, so shadow rays ended behind a small near lamp.
     let with = |place: &str| {
         format!(
             "camera main =\n origin 300.4 400 .3\n target 300 400 0\n fov 30\n film 16 16\nm floor =\n sides 2\n c\n rd .5\n\

@@ -1,4 +1,4 @@
-//! A sample that is not a number is counted, told, and leaves its pixel right.
+//! Samples that are not numbers are counted and reported, and their pixel stays right.
 
 use femc_film::{BadKind, Frame};
 use femc_math::Rgb;
@@ -10,7 +10,7 @@ use femc_tests::scene;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// A furnace with a ball in it; what hits the ball is to go wrong.
+/// A furnace with a ball in it. Samples that hit the ball are made bad.
 const FURNACE: &str = "camera main =\n origin 0 0 0\n target 1 0 0\n fov 60\n film 8 8\n\
     m wall =\n sides 2\n c\n rd .5\n ed 3.14159265358979\nm flaw =\n sides 2\n c\n rd .5\n ed 3.14159265358979\n\
     v a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\nprism a b c d -2\n\
@@ -33,7 +33,7 @@ fn render(plant: impl FnOnce(&mut Prepared)) -> Frame {
     film
 }
 
-/// Gives the material `flaw` the reflectance `rd`.
+/// Sets the reflectance of the material `flaw` to `rd`.
 fn flaw(prepared: &mut Prepared, rd: Rgb) {
     let flaw = prepared.scene.materials.iter().position(|m| m.name == "flaw").expect("the material is there");
     let Bsdf::Diffuse(bsdf) = &mut Arc::make_mut(&mut prepared.materials)[flaw].bsdf else {
@@ -52,7 +52,7 @@ fn a_reflectance_that_is_not_a_number_is_counted_and_leaves_the_other_samples_ri
         let of_kind = bad.count(BadKind::NotANumber) + bad.count(BadKind::Infinite);
         println!("{what}: {} of {} samples are bad, {of_kind} of them not finite", bad.total(), 64 * 64);
         assert!(of_kind > 100 && of_kind == bad.total(), "{what}: {bad:?}");
-        // Every good sample of the furnace has the 1 cd/m2 that its first wall emits, and at most 2 in the mean.
+        // Every good sample of the furnace has the 1 cd/m2 that its first wall emits, and at most 2 on average.
         let image = film.resolve();
         let luminance = |p: &[f32; 3]| Rgb::from_array(*p).dot(LUMINANCE_WEIGHTS);
         let left: Vec<f32> = image.color.pixels.iter().map(luminance).filter(|&l| l > 0.0).collect();

@@ -1,6 +1,6 @@
-//! Small rooms against images by another path tracer ([`femc_tests::brute`]), which lie in `tests/references`.
+//! Compares small rooms with images of another path tracer ([`femc_tests::brute`]), which are stored in `tests/references`.
 //!
-//! Made again, in some minutes, by `cargo run --release -p femc-tests --example references`.
+//! `cargo run --release -p femc-tests --example references` renders the images again, in some minutes.
 
 use femc_pipeline::{Settings, Stop};
 use femc_scene::Scene;
@@ -8,18 +8,18 @@ use femc_tests::reference::{Comparison, ROOMS, Reference, digest, rooms};
 use femc_tests::render;
 use std::sync::Arc;
 
-/// Chance of a false alarm in one comparison.
+/// Probability of a false alarm in one comparison.
 const LEVEL: f64 = 1e-4;
-/// Pixels of a block's side.
+/// Side length of a block in pixels.
 const BLOCK: usize = 8;
-/// Of the emitted light, lm/m2, in all rooms.
+/// Emittance of the lamps in all rooms, lm/m2.
 const EMITTANCE: f64 = 60.0;
 
 fn room(name: &str) -> Scene {
     femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}")).scene
 }
 
-/// The renderer's image of a room, with `changes` to its scalars, beside the reference.
+/// Renders a room with `changes` to its scalars, and compares the image with the reference.
 fn compared(name: &str, changes: &[(&str, f64)]) -> Comparison {
     let mut scene = room(name);
     for (selector, value) in changes {
@@ -31,7 +31,7 @@ fn compared(name: &str, changes: &[(&str, f64)]) -> Comparison {
     comparison
 }
 
-/// The room as it is agrees; with one percent more light, or two percent less reflectance, it does not.
+/// Checks that the room agrees, and that it does not with one percent more light or two percent less reflectance.
 fn check(name: &str) {
     assert!(compared(name, &[]).agrees(LEVEL), "{name} is not what brute force says");
     for change in [("material.panel.ed", 1.01 * EMITTANCE), ("material.white.rd", 0.98)] {

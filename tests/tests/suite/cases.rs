@@ -1,7 +1,7 @@
-//! Small scenes that went wrong once, and pairs of scenes that describe the same light: what is true of them.
+//! Small scenes that once failed, and pairs of scenes that describe the same light.
 //!
-//! Needs `../shared/{pairs,cases}`; skipped with a printed line where they are absent, unless `FEMC_REQUIRE` names `refs`. .ci/run asks
-//! for what is in [`brief`], tests/all for what is in [`long`]; here:
+//! Needs `../shared/{pairs,cases}`; skipped with a printed line if they are missing, unless `FEMC_REQUIRE` names `refs`. .ci/run
+//! runs [`brief`] and tests/all runs [`long`]. To run them here:
 //! `cargo test --release -p femc-tests --test suite cases -- --include-ignored --nocapture`.
 
 use femc_require::shared;
@@ -9,7 +9,7 @@ use femc_tests::agreement::Estimate;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Chance of a false alarm of one scene.
+/// Probability of a false alarm in one scene.
 const LEVEL: f64 = 1e-5;
 
 fn estimate(file: &Path, spp: u32) -> Estimate {
@@ -19,7 +19,7 @@ fn estimate(file: &Path, spp: u32) -> Estimate {
     estimate
 }
 
-/// Both scenes of a pair at `spp` samples, whose ratio would be noticed were it `seen` times what it should be.
+/// Compares both scenes of each pair at `spp` samples. Checks that a ratio wrong by the factor `seen` would be detected.
 fn pairs_agree(spp: u32, seen: f64) {
     let Some(folder) = shared("pairs") else { return };
     let pairs = [
@@ -36,7 +36,8 @@ fn pairs_agree(spp: u32, seen: f64) {
     }
 }
 
-/// A furnace of paths of thousands of events, in which `seen` times its radiance would be noticed.
+/// Checks a furnace whose paths have thousands of events. Checks that an error of the radiance by the factor `seen` would be
+/// detected.
 fn furnace(name: &str, spp: u32, seen: f64) {
     let Some(folder) = shared("cases") else { return };
     let hundred = Estimate { mean: 100.0, error: 0.0 };
@@ -45,7 +46,7 @@ fn furnace(name: &str, spp: u32, seen: f64) {
     assert!(found.level(hundred.times(seen)) < LEVEL, "{name}: nobody would see {seen}: {found:?}");
 }
 
-/// What .ci/run asks for: fewer samples, and so a coarser eye.
+/// Tests of .ci/run: fewer samples, so they detect only larger errors.
 mod brief {
     use super::{furnace, pairs_agree};
 
@@ -75,7 +76,7 @@ mod long {
     #[ignore = "tests/all: half a minute"]
     fn where_nearly_nothing_is_absorbed_a_furnace_stays_a_furnace() {
         furnace("furnace-0.99.mgf", 2, 1.02);
-        // The fog's mean is worth a tenth, which is what was missing.
+        // An error of a tenth is detected. This is the light that was once missing.
         furnace("conservative-fog.mgf", 4, 1.1);
     }
 }

@@ -1,8 +1,7 @@
-//! The table of crates in ARCHITECTURE.md beside the manifests.
+//! Compares the table of crates in ARCHITECTURE.md with the manifests.
 //!
-//! A row's "may use" names crates of the workspace by the last part of their folder, groups of them (`farm`: those in `farm/`;
-//! `all of the above`; `everything`), and packages from elsewhere that are worth a word. Dependencies of tests are not told
-//! there.
+//! The column "may use" of a row names crates of the workspace by the last part of their folder, groups of crates (`farm`: those in
+//! `farm/`; `all of the above`; `everything`), and notable external packages. The table does not list dependencies of tests.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -10,10 +9,10 @@ use toml::Table;
 
 type Names = BTreeSet<String>;
 
-/// A member of the workspace, by its folder.
+/// A member of the workspace, with its folder.
 pub(crate) struct Member {
     pub(crate) folder: String,
-    /// Packages that it is built from, itself and all its tests.
+    /// Direct dependencies: without and with those of tests.
     pub(crate) direct: Names,
     with_tests: Names,
 }
@@ -34,7 +33,7 @@ fn manifest(folder: &Path) -> Table {
     text.parse().unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Names in the tables `kinds`, also in those of one kind of machine.
+/// Returns the names in the tables `kinds`, including target-specific tables.
 fn dependencies(manifest: &Table, kinds: &[&str]) -> Names {
     let machines = manifest.get("target").and_then(|target| target.as_table()).into_iter().flat_map(Table::values);
     let tables = machines.filter_map(|machine| machine.as_table()).chain([manifest]);
@@ -42,7 +41,7 @@ fn dependencies(manifest: &Table, kinds: &[&str]) -> Names {
     named.flat_map(Table::keys).cloned().collect()
 }
 
-/// All members, by their packages' names.
+/// Returns all members by package name.
 pub(crate) fn members() -> BTreeMap<String, Member> {
     let workspace = manifest(&root());
     let folders = workspace["workspace"]["members"].as_array().expect("members");
@@ -74,7 +73,7 @@ fn short(folder: &str) -> &str {
     folder.rsplit('/').next().unwrap_or(folder)
 }
 
-/// Folders that a word of row `at` stands for; `None`: it is no group.
+/// Returns the folders of a group named in row `at`; `None`: the word is not a group.
 fn group(rows: &[Row], at: usize, word: &str) -> Option<Names> {
     let all = rows.iter().map(|row| row.folder.clone());
     match word {
@@ -85,7 +84,7 @@ fn group(rows: &[Row], at: usize, word: &str) -> Option<Names> {
     }
 }
 
-/// Folders that row `at` may use, and what those may, into `allowed`.
+/// Adds to `allowed` the folders that row `at` may use directly or indirectly.
 fn allow(rows: &[Row], at: usize, allowed: &mut Names) {
     for word in &rows[at].may_use {
         let named = || rows.iter().filter(|row| short(&row.folder) == word).map(|row| row.folder.clone()).collect();
@@ -154,7 +153,8 @@ fn engine_and_farm_never_meet_below_the_shells_nor_in_their_tests() {
     }
 }
 
-/// Looking for examples in documentation, to compile each by itself, takes a second a crate: there are none, tests take their place.
+/// Searching documentation for examples and compiling each takes a second per crate. Libraries have no such examples. Tests replace
+/// them.
 #[test]
 fn no_library_is_searched_for_examples_and_none_has_any() {
     fn examples(folder: &Path, found: &mut Vec<PathBuf>) {
@@ -168,7 +168,7 @@ fn no_library_is_searched_for_examples_and_none_has_any() {
                     let said = line.trim_start();
                     said.strip_prefix("/// ```").or_else(|| said.strip_prefix("//! ```"))
                 });
-                // The first of each two fences says what is between them; if it says nothing, it is Rust.
+                // The first fence of each pair names the language of the block. Without a name it is Rust.
                 if fences.step_by(2).any(|is| matches!(is, "" | "rust")) {
                     found.push(path);
                 }

@@ -20,7 +20,7 @@ use std::sync::atomic::AtomicBool;
 
 const CAMERA: &str = "camera main =\n  origin .31 .42 .23\n  target .8 .6 .7\n  fov 90\n  film 24 24\n";
 
-/// The unit cube, its faces inward, with the material in force.
+/// Returns the unit cube with inward faces and the current material.
 fn cube() -> String {
     let mut text = String::new();
     for (k, [x, y, z]) in
@@ -48,7 +48,7 @@ fn solve_to(text: &str, error: f32) -> Solution {
     radiosity::solve(&prepared, &options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}"))
 }
 
-/// Least, mean and greatest irradiance of the sides of a scene's surfaces at points spread over them.
+/// Returns the least, mean and greatest irradiance of all surfaces on this side, at points spread over them.
 fn irradiances(solution: &Solution, wanted: Side) -> [f64; 3] {
     let field = &solution.field;
     let (mut low, mut high, mut sum, mut count) = (f64::INFINITY, 0.0f64, 0.0, 0.0);
@@ -78,7 +78,7 @@ fn irradiances(solution: &Solution, wanted: Side) -> [f64; 3] {
     [low, sum / count, high]
 }
 
-/// Mean irradiance of a rectangle's front side, without what comes straight from lamps.
+/// Returns the mean irradiance of a rectangle's front side, without direct light of lamps.
 fn mean_irradiance(solution: &Solution, surface: usize) -> f64 {
     const EDGE: u32 = 64;
     let it = &solution.field.surfaces[surface];
@@ -96,12 +96,12 @@ fn furnace(reflectance: f64, fog: &str) -> String {
     format!("{CAMERA}{fog}m wall =\n  sides 1\n  rd {reflectance}\n  ed {PI}\n{}", cube())
 }
 
-/// Where no wall is cut every point sees the whole of each, and the form factors are exact. Where walls are cut, light that a part
-/// has from the whole's links is linear over the whole: that is what the error is about, and it comes back at each reflection.
+/// Without subdivision, every point sees the whole of each wall, and the form factors are exact. With subdivision, light that a
+/// part receives through links of the whole wall is linear over the wall. This causes the error, which returns at each reflection.
 #[test]
 fn in_a_closed_box_that_shines_evenly_all_surfaces_have_the_furnace_s_light() {
     for reflectance in [0.2, 0.5, 0.9] {
-        // Of luminance 1 / (1 - rd) everywhere 1 comes straight from the walls.
+        // The luminance is 1 / (1 - rd) everywhere, of which 1 comes directly from the walls.
         let want = PI * (1.0 / (1.0 - reflectance) - 1.0);
         for error in [0.5, 0.1, 0.03, 0.01] {
             let solution = solve_to(&furnace(reflectance, ""), error);
@@ -134,7 +134,7 @@ fn fog_that_takes_nothing_leaves_the_furnace_as_it_is() {
     }
 }
 
-/// Four points of a ceiling are all far from a lamp that hangs next to it, and know nothing of its light there.
+/// Four points of a ceiling can all be far from a lamp that hangs close to it, and miss its light there.
 #[test]
 fn a_lamp_next_to_a_ceiling_lights_it_as_the_closed_form_says() {
     let (radius, below) = (0.04f64, 0.12f64);
@@ -154,7 +154,7 @@ fn a_lamp_next_to_a_ceiling_lights_it_as_the_closed_form_says() {
             let (instance, primitive) = (ceiling.instance, ceiling.primitives[0]);
             let hit = femc_geometry::Hit { t: 1.0, instance, primitive, u: place[0], v: place[1] };
             have += f64::from(field.irradiance(&hit, ceiling.side, spot.position, spot.normal).y);
-            // Of a sphere of luminance L: pi L times its sine squared, times the cosine.
+            // Irradiance of a sphere of luminance L: pi L times the squared sine of its angle, times the cosine.
             let [x, y] = [0, 1].map(|axis| 4.0 * f64::from(place[axis]) - [2.3, 1.7][axis]);
             let distance2 = x * x + y * y + below * below;
             want += 100.0 * radius * radius / distance2 * below / distance2.sqrt();
@@ -164,8 +164,8 @@ fn a_lamp_next_to_a_ceiling_lights_it_as_the_closed_form_says() {
     }
 }
 
-/// Links that are each exact enough are wrong together; rays find that, and what comes over mirrors. Mean irradiance within 4 % of what
-/// paths find, and in fog 10 %.
+/// Links that are each exact enough can be wrong in sum. Rays correct this, and find light from mirrors. The mean irradiance is
+/// within 4 % of that of paths, in fog within 10 %.
 #[test]
 fn leaves_have_the_irradiance_that_paths_find() {
     let room = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/cornell.mgf")).expect("a scene");
@@ -186,7 +186,8 @@ fn leaves_have_the_irradiance_that_paths_find() {
     }
 }
 
-/// A box whose walls shine evenly and of which the floor alone reflects: any other side receives of it what its form factor says.
+/// Solves a box whose walls emit evenly and whose floor is the only reflector. Every other side receives its light according to its
+/// form factor.
 fn floor_alone([x, y, z]: [f64; 3]) -> [f64; 3] {
     let mut text = String::from(CAMERA);
     for (k, corner) in
@@ -208,11 +209,11 @@ fn floor_alone([x, y, z]: [f64; 3]) -> [f64; 3] {
         let _ = writeln!(text, "m m{reflectance} =\n  sides 1\n  rd {reflectance}\n  ed {PI}\nf {face}");
     }
     let solution = solve_to(&text, 0.01);
-    // Surfaces are in the order of the faces: the ceiling, the side along x, the side along y.
+    // Surfaces are in face order: the ceiling, the side along x, the side along y.
     [1, 2, 3].map(|surface| mean_irradiance(&solution, surface) / (0.5 * PI))
 }
 
-/// Form factors of two parallel rectangles and of two with an edge in common (\[howell2010\], C-11 and C-14).
+/// Form factors of two parallel rectangles and of two with a common edge (\[howell2010\], C-11 and C-14).
 #[test]
 fn rectangles_have_their_form_factors() {
     for (sides, want) in [
@@ -272,7 +273,8 @@ fn a_lamp_in_fog_looks_as_by_path_tracing() {
     }
 }
 
-/// A kitchen of small curved things, whose links bring more than there is: unbounded, light grew to 1e19 of what it is.
+/// A kitchen of small curved objects, whose links carry more light than there is. Without a bound, light grew to 1e19 times its
+/// value.
 #[test]
 fn light_that_grows_from_reflection_to_reflection_is_bounded() {
     let Some(folder) = femc_require::shared("scenes-real") else { return };
@@ -339,7 +341,8 @@ fn frames_share_a_first_pass_if_nothing_but_the_view_changes() {
     assert_ne!(here, key(&text(".3 .4 200", ".5"), &settings), "and where the coordinates begin");
 }
 
-/// A lamp's power is a factor of all light: its bytes are those of the factor's lamp of brightness 1, whichever job has asked first.
+/// The power of a lamp is a factor of all light. The solution is computed for a lamp of brightness 1, so its bytes do not depend on
+/// which job asked first.
 #[test]
 fn lamps_of_any_power_share_a_first_pass_and_its_light_is_as_much_brighter() {
     let text = |power: f64| {
@@ -418,7 +421,7 @@ fn what_breaks_finite_elements_ends_all_the_same() {
     }
 }
 
-/// Where links have little memory they are few and coarse; rays correct what they bring, so the light of a room is about the same.
+/// With little memory for links, they are few and coarse. Rays correct them, so the light of a room is about the same.
 #[test]
 fn links_that_have_little_memory_are_few_and_bring_about_the_same_light() {
     let (text, _) = furnished(Kind::Room, 3000);

@@ -1,4 +1,4 @@
-//! A little fuzzing with every run: see `src/fuzz`.
+//! Fuzzes a little with every run: see `src/fuzz`.
 
 use std::collections::BTreeSet;
 
@@ -22,7 +22,7 @@ fn no_bytes_make_a_decoder_panic_or_fill_the_memory() {
     }
 }
 
-/// Seeds that made a decoder panic once.
+/// Seeds that once made a decoder panic.
 const FOUND: [(&str, u64); 1] = [("elements", 222_945)];
 
 #[test]

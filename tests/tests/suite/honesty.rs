@@ -1,6 +1,6 @@
-//! Images are right on average however their samples end, and the errors that they claim are the true ones.
+//! Checks that images are right on average however their samples end, and that their claimed errors are true.
 //!
-//! The long ones, of many seeds: `cargo run --release -p femc-tests --example honesty`.
+//! The long version, with many seeds: `cargo run --release -p femc-tests --example honesty`.
 
 use femc_film::{FrameImage, PixelChannels, Rect, Sample, Tile, Tiling, pixel_errors};
 use femc_math::{Rgb, hash};
@@ -10,7 +10,7 @@ use femc_tests::reference::{ROOMS, Reference, rooms};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// The image of a film of 4 x 4 pixels whose samples are 40 in one case of 50, and otherwise so that their mean is 1.
+/// Renders a film of 4 x 4 pixels. One sample in 50 is 40, and the others are such that the mean is 1.
 fn rare(seed: u64, rule: Rule) -> f64 {
     let draw = |rect: Rect, samples: Range<u32>| {
         let mut tile = Tile::new(rect, samples.clone()).unwrap();
@@ -39,7 +39,7 @@ fn a_tile_that_ends_by_its_other_half_is_right_on_average_and_one_that_ends_by_i
     );
 }
 
-/// Many seeds of a room against its reference by brute force.
+/// Compares many seeds of a room with its brute-force reference.
 fn room(name: &str, stop: Stop, seeds: u64) -> Verdict {
     let scene =
         femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|error| panic!("{error}")).scene;
@@ -55,7 +55,7 @@ fn claimed_errors_are_the_true_ones_and_intervals_hold_what_is_true() {
     let mut covered = Vec::new();
     for (name, error) in [("box", 0.011), ("glossy", 0.013), ("fog", 0.025)] {
         let said = room(name, Stop::Spp(16), 16);
-        // 4 standard errors each; the reference is one image for all seeds, whose own noise is taken off on average only.
+        // The limit is 4 standard errors. All seeds share one reference image, whose noise is subtracted only on average.
         assert!((said.honesty.value - 1.0).abs() < 4.0 * said.honesty.error + 0.02, "{name}: {:?}", said.honesty);
         assert!(said.honesty.error < 0.03, "{name}: {:?}", said.honesty);
         covered.push(said.coverage.value);
@@ -64,17 +64,17 @@ fn claimed_errors_are_the_true_ones_and_intervals_hold_what_is_true() {
         covered.push(said.coverage.value);
     }
     let coverage = Measured::mean(&covered).value;
-    // Of some 400 intervals.
+    // There are some 400 intervals.
     assert!((0.91..0.99).contains(&coverage), "{covered:?}");
 }
 
-/// Pixels of images whose interval holds the reference's luminance.
+/// Numbers of pixels by whether their interval contains the reference's luminance.
 #[derive(Debug, Default)]
 struct Coverage {
     lit: usize,
     held: usize,
     unlit: usize,
-    /// Pixels with an interval of 1.96 times the error of their block to either side.
+    /// Pixels whose reference is within 1.96 times the error of their block.
     held_by_block: usize,
 }
 

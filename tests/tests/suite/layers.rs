@@ -1,4 +1,4 @@
-//! Layers of small rooms against the classes of paths of another path tracer ([`femc_tests::brute`]).
+//! Compares layers of small rooms with path classes of another path tracer ([`femc_tests::brute`]).
 
 use femc_film::tile::OPEN;
 use femc_film::{FrameImage, Image, LayerImage, LayerPiece, Rect, Tiling};
@@ -9,15 +9,15 @@ use femc_tests::reference::{Comparison, Reference, rooms};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// Chance of a false alarm in one comparison.
+/// Probability of a false alarm in one comparison.
 const LEVEL: f64 = 1e-4;
-/// Pixels of a block's side: a quarter of the film.
+/// Side length of a block in pixels. A block is a quarter of the film.
 const BLOCK: usize = 16;
-/// Samples a pixel of each half of the reference.
+/// Samples per pixel of each half of the reference.
 const BRUTE_SPP: u32 = 2048;
 const SPP: u32 = 128;
 
-/// The layers that are compared, in order of [`classes`].
+/// Returns the compared layers, in the order of [`classes`].
 fn layers() -> Vec<Layer> {
     let mut layers = Preset::Guides.layers([]).unwrap();
     layers.extend(Preset::Fog.layers([]).unwrap());
@@ -25,7 +25,7 @@ fn layers() -> Vec<Layer> {
     layers
 }
 
-/// The same, said of the path that was walked.
+/// Returns for each layer whether it contains this path.
 fn classes(path: &[Scatterer]) -> [bool; 7] {
     use Scatterer::{Diffuse, Fog, Glossy};
     [
@@ -39,7 +39,7 @@ fn classes(path: &[Scatterer]) -> [bool; 7] {
     ]
 }
 
-/// A layer as an image. The luminance's variance is that of channels which all err to one side: at least what it is.
+/// Converts a layer to an image. Its luminance variance is an upper bound: it assumes fully correlated channels.
 fn image(layer: LayerImage, [width, height]: [u32; 2]) -> FrameImage {
     let weights = LUMINANCE_WEIGHTS.to_array();
     let luminance = |v: &[f32; 3]| v.iter().zip(weights).map(|(v, w)| w * v.sqrt()).sum::<f32>().powi(2);
@@ -54,7 +54,7 @@ fn image(layer: LayerImage, [width, height]: [u32; 2]) -> FrameImage {
     }
 }
 
-/// Mean luminance, cd/m2.
+/// Returns the mean luminance, cd/m2.
 fn mean(image: &FrameImage) -> f32 {
     let count = image.samples.len();
     (0..count).map(|at| image.color.luminance(at)).sum::<f32>() / count as f32
@@ -76,7 +76,7 @@ fn rendered(name: &str, method: Method) -> Vec<FrameImage> {
     images.into_iter().map(|layer| image(layer, film)).collect()
 }
 
-/// The references of a room, a class each.
+/// Renders the references of a room, one per class.
 fn references(name: &str) -> Vec<Reference> {
     let scene = femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}")).scene;
     let brute = Brute::new(&scene);
@@ -84,7 +84,7 @@ fn references(name: &str) -> Vec<Reference> {
     a.into_iter().zip(b).map(|(a, b)| Reference::new([a, b])).collect()
 }
 
-/// Every layer is the class of paths that its expression says, and no layer is that of another class.
+/// Checks that every layer agrees with the class of its expression, and with no other class.
 fn check(name: &str, dark: &[&str]) {
     let (names, references) = (layers(), references(name));
     for method in [Method::Pt, Method::Femc] {

@@ -1,4 +1,4 @@
-//! What needs the whole engine, a module a topic.
+//! Tests that need the whole engine, one module per topic.
 
 mod analytic;
 mod bad_samples;

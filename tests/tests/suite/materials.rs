@@ -1,4 +1,4 @@
-//! Energy of materials from the scene file to the picture: no channel of any material returns more than it receives.
+//! Energy of materials from the scene file to the image: no channel of any material returns more than it receives.
 
 use femc_film::Frame;
 use femc_math::Rgb;
@@ -13,12 +13,12 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
-/// A number in [0, 1).
+/// Draws a number in [0, 1).
 fn unit(rng: &mut Rng) -> f64 {
     (rng.bits() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Lines that set a color: saturated chromaticities near the corners of Rec.709, spectral ones outside of it, or raw colors.
+/// Draws lines that set a color: saturated chromaticities near the corners of Rec.709, spectral ones outside of it, or raw colors.
 fn color(rng: &mut Rng) -> String {
     let corners = [(0.64, 0.33), (0.30, 0.60), (0.15, 0.06), (0.7, 0.29), (0.17, 0.01), (0.3127, 0.329)];
     let (x, y) = corners[(6.0 * unit(rng)) as usize];
@@ -29,7 +29,7 @@ fn color(rng: &mut Rng) -> String {
     }
 }
 
-/// A material of the scene format; sums of luminances above 1 are the import's to scale.
+/// Draws a material of the scene format. The importer scales sums of luminances above 1.
 /// - `opaque`: without transmittance, two-sided.
 fn material(rng: &mut Rng, name: &str, opaque: bool) -> String {
     let mut text = format!("m {name} =\n");
@@ -57,7 +57,7 @@ fn material(rng: &mut Rng, name: &str, opaque: bool) -> String {
     text
 }
 
-/// Directional albedo by `n^3` stratified samples, with the square of the index of refraction taken out.
+/// Computes the directional albedo from `n^3` stratified samples, without the factor of the squared index of refraction.
 fn albedo(kernel: &KernelMaterial, texel: Option<Rgb>, wo: Vec3A, n: u32) -> Rgb {
     let bsdf = texel.map_or(kernel.bsdf, |texel| kernel.textured(texel));
     let mut rng = Rng::new(52);
@@ -84,7 +84,7 @@ fn ten_thousand_materials_of_the_format_return_no_more_than_they_receive() {
             let wo = Vec3A::new(0.0, unit(&mut rng) as f32 * 0.999, 0.0);
             let z = (1.0 - wo.y * wo.y).sqrt() * if unit(&mut rng) < 0.5 { -1.0 } else { 1.0 };
             let wo = wo + Vec3A::Z * z;
-            // Texture values above 1 are cut.
+            // Texture values above 1 are clamped.
             let texel = Rgb::new(1.5, unit(&mut rng) as f32, 40.0);
             for texel in [None, Some(texel)] {
                 if albedo(&kernel, texel, wo, 5).max_element() > 1.02 {
@@ -98,7 +98,7 @@ fn ten_thousand_materials_of_the_format_return_no_more_than_they_receive() {
     assert!(limited > 2500);
 }
 
-/// A closed room of one material around a black lamp of 1000 lm/m2.
+/// Returns a closed room of one material around a black lamp of 1000 lm/m2.
 fn room(material: &str) -> String {
     format!(
         "{material}m lamp =\n sides 1\n c\n ed 1000\nv a =\n p -2 -2 0\nv b =\n p 2 -2 0\nv c =\n p 2 2 0\nv d =\n p -2 2 0\n\
@@ -107,7 +107,7 @@ fn room(material: &str) -> String {
     )
 }
 
-/// A frame with the samples of `settings`.
+/// Renders a frame with the samples of `settings`.
 fn picture(prepared: &Prepared, settings: &Settings) -> Frame {
     let Stop::Spp(spp) = settings.stop else { panic!("a fixed number of samples") };
     let plan = plan(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
@@ -130,14 +130,14 @@ fn rooms_of_random_materials_are_no_brighter_than_their_lamp_and_have_no_bad_sam
         let film = picture(&prepared, &settings);
         assert_eq!(film.bad().total(), 0, "{k}: {text}");
         let pixels = film.resolve().color.pixels;
-        // The lamp bounds every pixel. The median is held against it: where a channel's albedo is near 1 in a lobe that is not
-        // chosen for its sake, weights have no finite variance, and single pixels are far off.
+        // The lamp bounds every pixel. The test compares the median with it: where a channel's albedo is near 1 in a lobe that is
+        // sampled for other channels, weights have infinite variance and single pixels are far off.
         let mut luminances: Vec<f32> = pixels.iter().map(|p| Rgb::from_array(*p).dot(LUMINANCE_WEIGHTS)).collect();
         luminances.sort_by(f32::total_cmp);
         let median = luminances[luminances.len() / 2];
         assert!(median <= 1000.0 / std::f32::consts::PI, "{k}: {median}: {text}");
         let solved = solve(&prepared, &Options::default(), &AtomicBool::new(false)).expect("nobody cancels");
-        // Mirrors are found by few rays, so a sound solution may keep a little too much; a material that gains multiplies light.
+        // Few rays hit mirrors, so a valid solution may keep slightly too much light. A material that gains energy multiplies it.
         let verdict = solved.verify(&prepared);
         let is_sound = matches!(verdict, Ok(()) | Err(Untrusted::Restless { .. }))
             || matches!(verdict, Err(Untrusted::Gains { ratio }) if ratio < 1.5);

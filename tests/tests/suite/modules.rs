@@ -1,7 +1,7 @@
-//! Circles of imports among the modules of a crate: there are none in `cli`.
+//! Checks that the modules of `cli` import each other without cycles.
 //!
-//! A module is a file. It depends on the modules that define what it names: a re-export is looked through, so that a `mod.rs`
-//! that only lists its files is in nobody's way. Modules for tests alone are left out.
+//! A module is a file. It depends on the modules that define the names that it uses. Re-exports are resolved, so a `mod.rs` that
+//! only lists its files causes no cycle. Test-only modules are left out.
 
 use super::crates::root;
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,22 +9,22 @@ use std::path::Path;
 use syn::visit::{Visit, visit_item_mod, visit_path};
 use syn::{Attribute, Item, ItemMod, ItemUse, Meta, UseTree, Visibility};
 
-/// The names that lead to a module from the crate's root; the root itself has none.
+/// Path of a module from the crate's root. The root has an empty path.
 type Module = Vec<String>;
 
-/// What a file says of others.
+/// References of a file to other modules.
 #[derive(Default)]
 struct Source {
     children: BTreeSet<String>,
-    /// Names that `use` brings in, and the paths that they stand for.
+    /// Names that `use` imports, with their paths.
     imports: BTreeMap<String, Vec<String>>,
-    /// Paths in which a name is reached through a module, as they are written.
+    /// Paths with more than one segment, as written.
     paths: BTreeSet<Vec<String>>,
-    /// Children whose bodies stand in the same file.
+    /// Number of child modules with their body in the same file.
     inline: usize,
 }
 
-/// The modules of a crate, by file.
+/// Modules of a crate, each with its file.
 #[derive(Default)]
 struct Crate(BTreeMap<Module, Source>);
 
@@ -58,11 +58,11 @@ impl Source {
                     UseTree::Rename(rename) => (&rename.ident, &rename.rename),
                     _ => unreachable!("the other arms"),
                 };
-                // `use a::b::{self}` brings in `b`.
+                // `use a::b::{self}` imports `b`.
                 let (own, alias) = (own.to_string(), alias.to_string());
                 let alias = if alias == "self" { path.last().cloned().unwrap_or_default() } else { alias };
                 path.extend(Some(own).filter(|own| own != "self"));
-                // What a file re-exports it need not use.
+                // A re-export is not a use by the file itself.
                 if !is_public {
                     self.paths.insert(path.clone());
                 }
@@ -122,7 +122,8 @@ impl Crate {
         all
     }
 
-    /// The module that defines what `path` names within `module`; `None`: another crate does, or nobody that is named.
+    /// Returns the module that defines the item of `path` within `module`; `None`: another crate defines it, or the path is only a
+    /// module.
     fn definer(&self, module: &Module, path: &[String], depth: usize) -> Option<Module> {
         assert!(depth < 16, "{module:?} {path:?}: names that stand for each other");
         let (first, rest) = path.split_first()?;
@@ -144,7 +145,7 @@ impl Crate {
             at.push(next.clone());
             rest = behind;
         }
-        // A module by itself is a name for what is in it.
+        // A path to a module alone only names its items.
         let name = rest.first()?;
         match self.0[&at].imports.get(name) {
             Some(import) => self.definer(&at, &[import, &rest[1..]].concat(), depth + 1),
@@ -152,7 +153,7 @@ impl Crate {
         }
     }
 
-    /// Each module, and those that it uses.
+    /// Returns each module with the modules that it uses.
     fn edges(&self) -> BTreeMap<Module, BTreeSet<Module>> {
         let uses = |(module, source): (&Module, &Source)| {
             let found = source.paths.iter().filter_map(|path| self.definer(module, path, 0));
@@ -162,7 +163,7 @@ impl Crate {
     }
 }
 
-/// Modules that reach themselves, each with all that are in its circle.
+/// Finds cycles: the sets of modules that reach each other.
 fn circles<M: Clone + Ord>(edges: &BTreeMap<M, BTreeSet<M>>) -> BTreeSet<BTreeSet<M>> {
     let reached = |from: &M| {
         let (mut reached, mut todo) = (BTreeSet::new(), vec![from]);
@@ -177,7 +178,7 @@ fn circles<M: Clone + Ord>(edges: &BTreeMap<M, BTreeSet<M>>) -> BTreeSet<BTreeSe
     all.keys().filter(|module| all[*module].contains(*module)).map(circle).collect()
 }
 
-/// The same among the modules at the root, each with all that is below it.
+/// Returns the dependencies between top-level modules, each with all of its submodules.
 fn tops(edges: &BTreeMap<Module, BTreeSet<Module>>) -> BTreeMap<String, BTreeSet<String>> {
     let mut tops: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     let top = |module: &Module| module.first().cloned().unwrap_or_else(|| "main".to_owned());

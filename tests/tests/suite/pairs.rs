@@ -1,14 +1,14 @@
-//! Pairs of scenes that describe the same light in two ways, which take different code: their means are equal, or have a known ratio.
+//! Pairs of scenes that describe the same light in two ways and use different code. Their means are equal, or have a known ratio.
 
 use femc_tests::agreement::Estimate;
 use femc_tests::text::{block, camera, level, material, quad};
 
-/// Samples a pixel of each of 48 renderings.
+/// Samples per pixel of each of 48 renderings.
 const SPP: u32 = 48;
-/// Chance of a false alarm of one pair.
+/// Probability of a false alarm in one pair.
 const LEVEL: f64 = 1e-5;
 
-/// A luminaire of 1000 cd in all directions; its opening is a box of this edge, m.
+/// Returns a luminaire of 1000 cd in all directions. Its opening is a box with this edge length, m.
 fn ies(edge: f64) -> String {
     format!(
         "IESNA:LM-63-2002\n[TEST] isotropic\nTILT=NONE\n1 1000 1 3 1 1 2 {edge} {edge} {edge}\n1 1 1\n0 90 180\n0\n\
@@ -16,7 +16,7 @@ fn ies(edge: f64) -> String {
     )
 }
 
-/// Holds `ratio` times the mean of `b` against that of `a`, and that one percent more would be seen.
+/// Checks that the mean of `a` is `ratio` times that of `b`, and that an error of one percent would be detected.
 fn pair(a: &str, b: &str, ratio: f64) {
     let (sized, point) = (ies(0.1), ies(0.0));
     let estimate =
@@ -70,7 +70,7 @@ fn a_camera_inside_a_cloud_sees_the_same_with_a_skin_and_without() {
     pair(&format!("{room}{solid}"), &format!("{room}mbox fog -1 -1 -1 1 1 1\n"), 1.0);
 }
 
-/// A floor that sees `between` it and the light.
+/// Returns a floor with `between` between it and the light.
 fn floor_below(between: &str, light: &str) -> String {
     let floor = material("floor", &["sides 2", "rd .5"]) + &level("floor", [0.0; 3], 9.0);
     camera("0 0 1", "0 0 0", 10.0) + &floor + between + light
@@ -97,7 +97,7 @@ fn a_tinted_film_takes_its_share_of_every_light() {
 
 #[test]
 fn light_comes_through_panes_that_do_not_bend_it() {
-    // What two panes throw to and fro between them is lost: the upper one has no reflection.
+    // The upper pane has no reflection, so that no light is reflected back and forth between the panes.
     let pane =
         |name: &str, rs: &str, z: f64| material(name, &["sides 2", "ts .9 0", rs]) + &level(name, [0.0, 0.0, z], 9.0);
     let one = pane("pane", "", 2.0);
@@ -128,7 +128,7 @@ fn a_lamp_behind_a_pane_is_seen_in_a_mirror_and_by_the_camera() {
     pair(&above(&pane), &above(""), 0.9);
 }
 
-/// Two of a scene: something moves, hardly, while the shutter is open; the shutter is shut.
+/// Returns two versions of a scene: one with slight motion while the shutter is open, one without shutter time.
 fn moving(scale: f64, what: &str) -> [String; 2] {
     ["0 .5", "0 0"].map(|shutter| {
         let text = floor_below(
@@ -165,15 +165,15 @@ fn a_luminaire_with_an_opening_sends_from_afar_what_a_point_sends() {
 
 #[test]
 fn thin_air_scatters_in_proportion_to_its_density() {
-    // The numbers of a free distance have more than 24 bits: an optical thickness of 2e-6 is 33 of their steps.
+    // Random numbers for free distances have more than 24 bits: an optical thickness of 2e-6 is 33 steps of 24 bits.
     let air = |sigma: f64| {
         format!("{}medium air =\n sigma_s {sigma}\nmbox air -1 -1 -1 1 1 1\n{}", camera("-6 0 0", "0 0 0", 6.0), lamp())
     };
     pair(&air(1e-6), &air(1e-3), 1e-3 / (1.0 - 1e-3));
 }
 
-/// Of several lamps one is chosen by what it sends, by a segment in fog and by a surface, whatever it is described by. The camera looks
-/// at the floor before them: balls would be seen, and points would not.
+/// A segment in fog and a surface choose one of several lamps by its power, whatever its description. The camera looks at the floor
+/// in front of them, because it would see balls, but not points.
 #[test]
 fn measured_lamps_of_one_intensity_are_small_balls_in_fog() {
     let room =
@@ -181,7 +181,8 @@ fn measured_lamps_of_one_intensity_are_small_balls_in_fog() {
     let floor = material("floor", &["sides 2", "rd .5", "rs .2 .3"]) + &level("floor", [0.0, 0.0, 0.0], 5.0);
     let places = [[0.0, 1.0, 2.0], [1.0, -1.5, 1.5], [-1.0, 0.5, 0.7]];
     let measured: String = places.iter().map(|[x, y, z]| format!("ies point.ies -t {x} {y} {z}\n")).collect();
-    // A ball's intensity is pi r^2 times its luminance, and its emittance pi times its luminance: 1000 cd need 1000 / 0.02^2 lm/m2.
+    // A ball's intensity is pi r^2 times its luminance, and its emittance is pi times its luminance: 1000 cd need 1000 / 0.02^2
+    // lm/m2.
     let balls =
         places.iter().enumerate().map(|(k, [x, y, z])| format!("v b{k} =\n p {x} {y} {z}\nm ball\nsph b{k} .02\n"));
     let balls = material("ball", &["sides 1", "ed 2.5e6"]) + &balls.collect::<String>();

@@ -1,11 +1,11 @@
-//! The parts of `tests/all` beside the manifests: a change makes due what it may have broken.
+//! Compares the parts of `tests/all` with the manifests: a change must trigger the parts that it may have broken.
 
 use super::crates::{members, root};
 use std::collections::{BTreeMap, BTreeSet};
 
 type Names = BTreeSet<String>;
 
-/// A line of `tests/parts`, groups put in.
+/// A line of `tests/parts` with its groups expanded.
 struct Part {
     name: String,
     due: Names,
@@ -69,7 +69,7 @@ fn what_a_crate_of_a_part_depends_on_makes_the_part_due_or_is_named_as_what_does
 
 #[test]
 fn every_crate_makes_some_part_due() {
-    // They are tests, or the scripts' own: what they prove, they prove in every run.
+    // These are tests or tools of scripts. Every run of the tests covers them.
     const OTHERS: [&str; 3] = ["proto/generate", "tests", "tests/require"];
     let due: Names = parts().into_iter().flat_map(|part| part.due).collect();
     let members = members();

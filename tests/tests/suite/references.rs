@@ -1,7 +1,7 @@
-//! The reference scenes against their images by an independent renderer, with both images' noise counted.
+//! Compares the reference scenes with images of an independent renderer. The noise of both images counts.
 //!
-//! Needs `../shared/refs`; skipped with a printed line where it is absent, unless `FEMC_REQUIRE` names `refs`. Two tests run always,
-//! those of [`brief`] in .ci/run, those of [`long`] in tests/all; here:
+//! Needs `../shared/refs`; skipped with a printed line if it is missing, unless `FEMC_REQUIRE` names `refs`. Two tests always run,
+//! those of [`brief`] run in .ci/run, those of [`long`] in tests/all. To run all here:
 //! `cargo test --release -p femc-tests --test suite references -- --include-ignored --nocapture`.
 
 use femc_pipeline::{Settings, Stop};
@@ -10,18 +10,19 @@ use femc_tests::reference::{Comparison, Reference};
 use femc_tests::render;
 use std::sync::Arc;
 
-/// Pixels of a block's side.
+/// Side length of a block in pixels.
 const BLOCK: usize = 16;
 
-/// Renders `name` at `spp`: mean within `tolerance`, error (less the reference's own noise) at most `limit`, no block's
-/// mean off by more than 4.5 standard errors.
+/// Renders `name` at `spp` and checks it: mean within `tolerance`, error (minus the reference's own noise) at most `limit`, no
+/// block's mean off by more than 4.5 standard errors.
 fn check(name: &str, spp: u32, tolerance: f64, limit: f64) {
     if let Some(c) = bounds(name, spp, tolerance, limit) {
         blocks_agree(&c);
     }
 }
 
-/// The same without the blocks: of few samples of a scene with rare bright paths, a block's own variance is too uncertain for that.
+/// Like [`check`], but without the blocks: with few samples of a scene with rare bright paths, the variance of a block is too
+/// uncertain.
 fn bounds(name: &str, spp: u32, tolerance: f64, limit: f64) -> Option<Comparison> {
     let c = measure(name, spp)?;
     let net = c.relmse - c.reference_noise;
@@ -34,7 +35,7 @@ fn blocks_agree(c: &Comparison) {
     assert!(c.worst_z <= 4.5, "block {:?} is {} standard errors off", c.worst_block, c.worst_z);
 }
 
-/// Renders `name` at `spp` and compares; `None` where the references are absent.
+/// Renders `name` at `spp` and compares; `None` if the references are missing.
 fn measure(name: &str, spp: u32) -> Option<Comparison> {
     let folder = shared("refs")?;
     let loaded = femc_import::load_path(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
@@ -66,7 +67,7 @@ fn cornell_fog_at_a_few_samples_has_the_reference_s_mean_and_blocks() {
     check("cornell-fog", 16, 0.01, 7.5e-2);
 }
 
-/// What .ci/run asks for: a quarter of the samples of [`long`], and so four times the error.
+/// Tests of .ci/run: a quarter of the samples of [`long`], so four times the error.
 mod brief {
     use super::{bounds, check};
 
@@ -88,8 +89,8 @@ mod brief {
         check("sphere", 64, 0.01, 5.6e-2);
     }
 
-    /// The blocks are judged at 512 samples: lamps of a hundredth of a pixel are met by so few camera rays at 16 that a block may hold
-    /// none, and then its samples do not know their own variance.
+    /// The blocks are checked at 512 samples. At 16 samples, so few camera rays hit lamps of a hundredth of a pixel that a block
+    /// may contain none, and then its samples do not show their own variance.
     #[test]
     #[ignore = ".ci/run: seconds a core"]
     fn roundabout_is_within_its_bounds() {
@@ -97,7 +98,7 @@ mod brief {
     }
 }
 
-/// What tests/all asks for.
+/// Tests of tests/all.
 mod long {
     use super::{blocks_agree, check, measure};
 

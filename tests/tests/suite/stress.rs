@@ -1,8 +1,9 @@
-//! The quick part of the stress suite ([`femc_tests::stress`]); all of it: `cargo run --release -p femc-tests --example stress`.
+//! The quick part of the stress suite ([`femc_tests::stress`]). To run all of it:
+//! `cargo run --release -p femc-tests --example stress`.
 
 use femc_tests::stress::{Effort, GROUPS, Verdict};
 
-/// Measures a group, in the seconds that a test has.
+/// Measures a group within seconds.
 fn check(name: &str) {
     let group = GROUPS.iter().find(|group| group.name == name).expect("a group");
     let mut failed = Vec::new();

@@ -1,6 +1,6 @@
-//! Every technique by which light is found, alone against the others and against all of them joined: each is complete, so that they
-//! agree wherever their densities, their weights and what lies between are right. The tests that run always
-//! have as few samples as show that; tests/all asks for up to four times as many.
+//! Compares every technique for finding light with the others and with all of them combined. Each technique is complete, so they
+//! agree if their densities, weights and transmittances are right. Tests that always run have the fewest samples that show this.
+//! tests/all uses up to four times as many.
 
 use femc_montecarlo::Technique;
 use femc_pipeline::{Settings, Stop};
@@ -9,18 +9,18 @@ use femc_tests::agreement::Estimate;
 use femc_tests::text::{block, camera, level, material, quad};
 use femc_tests::{render, scene, scene_of};
 
-/// Chance of a false alarm of all comparisons of one scene.
+/// Probability of a false alarm over all comparisons of one scene.
 const LEVEL: f64 = 1e-4;
 
 const FOG: &str = "medium fog =\n sigma_s .5\n sigma_a .1\n phase hg .4\n";
 
-/// Every pair of {all, light, scatter} agrees.
+/// Checks that every pair of {all, light, scatter} agrees.
 fn agree(name: &str, text: &str, spp: u32) {
     let scene = scene_of(&[("test.mgf", text)]);
     let techniques = [None, Some(Technique::Light), Some(Technique::Scatter)];
     let estimates = techniques.map(|only| Estimate::of(&scene, only, spp));
     println!("{name}: {estimates:?}");
-    // Near a source in fog, drawing points on it alone has no finite variance: what is too noisy shows nothing.
+    // Near a source in fog, sampling only points on the source has infinite variance. Estimates that are too noisy are ignored.
     let known: Vec<usize> = (0..3).filter(|&i| estimates[i].error < 0.05 * estimates[i].mean).collect();
     assert!(known.contains(&0) && known.len() >= 2, "{name}: too noisy: {estimates:?}");
     for (n, &i) in known.iter().enumerate() {
@@ -122,7 +122,7 @@ fn sources(finer: u32) {
     }
 }
 
-/// `count` lamps over a floor: panels that face down, panels with a narrow lobe, balls and long strips, in turns.
+/// Returns `count` lamps over a floor: panels that face down, panels with a narrow lobe, balls and long strips, in alternation.
 fn lamps(count: u32) -> String {
     let power = 2000.0 / f64::from(count);
     let size = if count > 100 { 0.5 } else { 1.0 };
@@ -130,7 +130,7 @@ fn lamps(count: u32) -> String {
         + &material("lobe", &["sides 1", "lobe 12", &format!("ed {power}")])
         + &material("both", &["sides 2", &format!("ed {power}")]);
     let lamp = |i: u32| {
-        // Places without a pattern.
+        // Positions without a pattern.
         let [x, y, z] = [0.618_034, 0.754_878, 0.569_84].map(|step: f64| (f64::from(i + 1) * step).fract());
         let (x, y, z) = (6.0 * x - 3.0, 6.0 * y - 3.0, 1.0 + 1.5 * z);
         let panel = |material: &str, a: f64, b: f64| {
@@ -167,7 +167,7 @@ fn many_lamps(finer: u32) {
     }
 }
 
-/// A lamp that is smaller than a pixel, seen by the camera itself.
+/// Lamps smaller than a pixel, visible to the camera.
 fn small_lamps(finer: u32) {
     let lamp = |shape: &str| {
         format!(
@@ -197,7 +197,7 @@ fn small_lamps(finer: u32) {
     agree("moving", &format!("{moves}{text}xf -path p\n{}xf\n", lamp("sph s .03")), 16 * finer);
 }
 
-/// Flat lamps whose outlines cut pixels: small, larger than pixels, edge on, hidden in part, and partly behind the film's border.
+/// Flat lamps whose outlines cross pixels: small, larger than pixels, edge on, partly hidden, and partly outside the film.
 fn flat_lamps(finer: u32) {
     let corners = |points: &[[f64; 3]]| -> String {
         let vertex = |(at, [x, y, z]): (usize, &[f64; 3])| format!("v p{at} =\n p {x} {y} {z}\n");
@@ -229,7 +229,7 @@ fn flat_lamps(finer: u32) {
     }
 }
 
-/// The outline of a lamp is drawn, so that its share of a pixel does not vary: an image of a few samples has nearly no noise.
+/// The camera samples the outline of a lamp, so its share of a pixel does not vary. An image of a few samples has almost no noise.
 #[test]
 fn a_lamp_s_share_of_a_pixel_hardly_varies() {
     let view = camera("-4 -.5 1.5", "0 0 1", 25.0);
@@ -240,7 +240,7 @@ fn a_lamp_s_share_of_a_pixel_hardly_varies() {
     for at in 0..64 {
         let share = f64::from(image.color.luminance(at)) / (1e4 / std::f64::consts::PI);
         if (0.01..0.99).contains(&share) {
-            // A ray through a random place of the pixel meets the lamp or does not.
+            // Variance of rays through random points of the pixel, which hit the lamp or miss it.
             let by_chance = (1e4 / std::f64::consts::PI).powi(2) * share * (1.0 - share) / 16.0;
             of_share += f64::from(image.luminance_variance[at]) / by_chance;
             pixels += 1;

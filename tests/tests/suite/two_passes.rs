@@ -1,4 +1,4 @@
-//! Paths that a first pass guides have the same mean as those that nothing guides, whatever the guide says.
+//! Guided paths have the same mean as unguided paths, whatever the guide says.
 
 use femc_field::Leaf;
 use femc_film::Filter;
@@ -28,7 +28,7 @@ impl PixelFilter for Places {
 }
 
 const EDGE: u32 = 48;
-/// Pixels of a block, by axis.
+/// Side length of a block in pixels.
 const BLOCK: u32 = 8;
 
 fn prepared(name: &str) -> Prepared {
@@ -47,7 +47,7 @@ fn guide(prepared: &Prepared) -> Field {
     radiosity::solve(prepared, &options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}")).field
 }
 
-/// Mean luminance of each block of pixels, and the variance of that.
+/// Renders the mean luminance of each block of pixels. Returns it with its variance.
 fn blocks(prepared: &Prepared, guide: Option<&Field>, seed: u64, spp: u32) -> Vec<[f64; 2]> {
     let path = PathSettings { seed, max_depth: 0, only: None };
     let across = EDGE / BLOCK;
@@ -71,15 +71,16 @@ fn blocks(prepared: &Prepared, guide: Option<&Field>, seed: u64, spp: u32) -> Ve
     (0..across * across).into_par_iter().map(block).collect()
 }
 
-/// Root mean square and greatest of the differences over their standard errors.
+/// Returns the root mean square and the greatest of the differences, in standard errors.
 fn differences(a: &[[f64; 2]], b: &[[f64; 2]]) -> [f64; 2] {
     let z = |(a, b): (&[f64; 2], &[f64; 2])| (a[0] - b[0]) / (a[1] + b[1]).max(1e-30).sqrt();
     let (squares, most) = a.iter().zip(b).map(z).fold((0.0, 0.0f64), |(sum, most), z| (sum + z * z, most.max(z.abs())));
     [(squares / a.len() as f64).sqrt(), most]
 }
 
-/// Were samples independent, of 36 blocks the root mean square would be above 1.35 once in 500 times, and the greatest above 4.5 once in
-/// 4,000; samples of a pixel are stratified, so differences are less. A density that is 30 % wrong gives 4.35 and 10.0.
+/// Checks that the blocks agree. If samples were independent, the root mean square of 36 blocks would exceed 1.35 once in 500
+/// times, and the greatest difference 4.5 once in 4,000. Samples of a pixel are stratified, so differences are smaller. A density
+/// that is 30 % wrong gives 4.35 and 10.0.
 fn claim_same(name: &str, a: &[[f64; 2]], b: &[[f64; 2]]) {
     let [rms, most] = differences(a, b);
     println!("{name}: differences {rms:.2} standard errors rms, {most:.2} at most");
@@ -96,7 +97,7 @@ fn what_guides_paths_changes_no_mean() {
     }
 }
 
-/// A guide that is wrong costs time, and no more.
+/// A wrong guide only costs time.
 #[test]
 fn a_guide_that_is_wrong_changes_no_mean() {
     let prepared = prepared("cornell");
@@ -121,7 +122,7 @@ fn a_guide_that_is_wrong_changes_no_mean() {
     }
 }
 
-/// Light of the field that is wrong ends paths too early or too late, which costs time, and no more.
+/// Wrong light in the field ends paths too early or too late, which only costs time.
 #[test]
 fn light_that_is_wrong_changes_no_mean() {
     let prepared = prepared("cornell");
@@ -149,7 +150,7 @@ fn light_that_is_wrong_changes_no_mean() {
     }
 }
 
-/// Where a lamp shines at the ceiling, that is where light comes from for all others: samples by the guide have less variance.
+/// A lamp shines at the ceiling, which lights everything else. Guided samples have less variance there.
 #[test]
 fn paths_that_are_guided_have_less_variance() {
     let path = format!("{}/../scenes/cornell.mgf", env!("CARGO_MANIFEST_DIR"));

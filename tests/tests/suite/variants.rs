@@ -1,4 +1,4 @@
-//! Frames of variants share what is equal between them, and have the pixels of frames prepared alone.
+//! Frames of variants share what is equal between them, and have the same pixels as frames prepared alone.
 
 use femc_film::{Frame, FrameImage, pixel_digest};
 use femc_math::glam::DVec3;
@@ -46,7 +46,7 @@ fn cameras_share_a_world_and_fogs_share_surfaces_and_neither_shows() {
         (("camera.main.fov", 50.0), true, true),
         (("camera.main.origin.x", 0.4), true, true),
         (("camera.main.origin.x", -100.0), true, true),
-        // Too far from the middle for its origin.
+        // The camera is too far from the scene's center to use that as the frame's origin.
         (("camera.main.origin.x", -200.0), false, false),
         (("medium.fog.sigma_s", 0.4), false, true),
         (("material.lamp.ed", 60.0), false, true),

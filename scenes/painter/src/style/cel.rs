@@ -1,5 +1,5 @@
-//! Cel with outlines: few flat tones of gouache with the marks of a flat brush, shadows cold and warmed from below, and
-//! brush-pen lines that swell towards the dark, feathered where shadow begins.
+//! Cel style with outlines: few flat tones of gouache with the marks of a flat brush, cold shadows that are warm from below, and
+//! brush-pen lines that are thicker in the dark, feathered where shadow begins.
 
 use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Line, Near, levels, outlines};
@@ -8,13 +8,13 @@ use crate::{Sight, chance, chance::Place};
 use femc_film::Picture;
 
 const INK: [f32; 3] = [0.09, 0.07, 0.13];
-/// Light below which a thing is in half shadow, and in shadow.
+/// Light below which a surface is in half shadow, followed by the limit of full shadow.
 const HALF: f32 = 0.60;
 const SHADOW: f32 = 0.16;
-/// Highlight.
+/// Gloss above which a surface has a highlight.
 const SHINE: f32 = 0.42;
 
-/// Paints.
+/// Paints a picture in this style.
 pub fn paint(sight: &Sight) -> Picture {
     let mut cel = Cel {
         sight,
@@ -37,7 +37,7 @@ struct Cel<'a> {
     bounce: Vec<f32>,
 }
 
-/// What a place is filled with, from the darkest.
+/// Tone of a point, from the darkest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Tone {
     Deep,
@@ -107,7 +107,7 @@ impl Cel<'_> {
         }
     }
 
-    /// Strokes of a flat brush within each tone, a little lighter or darker.
+    /// Paints strokes of a flat brush within each tone, slightly lighter or darker.
     fn brush(&mut self) {
         let sight = self.sight;
         for Place { key, x, y } in chance::places(30, sight.width, sight.height, 5.0) {
@@ -142,7 +142,7 @@ impl Cel<'_> {
         }
     }
 
-    /// A thin dark line where a cast shadow begins.
+    /// Draws a thin dark line where a cast shadow begins.
     fn edges(&mut self) {
         let (sight, lit) = (self.sight, self.lit.clone());
         let steep = |x: f32, y: f32| {
@@ -154,7 +154,7 @@ impl Cel<'_> {
         self.pen(&lines, 60, |_, _| 0.45);
     }
 
-    /// Tapering strokes out of the shadow into the half shadow.
+    /// Draws tapering strokes from the shadow into the half shadow.
     fn feathers(&mut self) {
         let sight = self.sight;
         let lit = self.lit.clone();
@@ -175,7 +175,7 @@ impl Cel<'_> {
                     let [gx, gy] = slope(x, y);
                     let steep = (gx * gx + gy * gy).sqrt().max(1e-4);
                     let length = long * (0.75 + 0.35 * word(1));
-                    // Strokes lean, and bend with the form.
+                    // Strokes are slanted, and bend with the form.
                     let (dx, dy) = ((gx - 0.35 * gy) / steep, (gy + 0.35 * gx) / steep);
                     let dabs: Vec<Dab> = (0..=8)
                         .map(|n| {
@@ -202,7 +202,7 @@ impl Cel<'_> {
         }
     }
 
-    /// Outlines.
+    /// Draws outlines.
     fn lines(&mut self) {
         let sight = self.sight;
         let lit = self.lit.clone();
@@ -214,7 +214,7 @@ impl Cel<'_> {
         });
     }
 
-    /// Lines of a brush pen, each in a few goes that taper at both ends.
+    /// Draws lines with a brush pen, each in several strokes that taper at both ends.
     fn pen(&mut self, lines: &[Line], seed: u64, radius: impl Fn(f32, f32) -> f32) {
         for line in lines {
             for (number, start) in (0..line.points.len()).step_by(70).enumerate() {

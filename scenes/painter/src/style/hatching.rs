@@ -1,6 +1,6 @@
-//! Pen and ink: strokes along the form on toned paper, crossed by further layers where it is darker, in a warm ink in
-//! the half shadow and a cold one in the dark. Highlights and what is well lit stay paper. The strokes of a layer are
-//! streamlines that keep their distance (\[jobard1997\]).
+//! Pen and ink: strokes along the form on toned paper. Darker areas have more crossing layers, in a warm ink in the half shadow and
+//! a cold one in the dark. Highlights and well-lit areas stay paper. The strokes of a layer are streamlines that keep their
+//! distance (\[jobard1997\]).
 
 use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Near, STEP, outlines};
@@ -13,16 +13,16 @@ const SEPIA: [f32; 3] = [0.44, 0.24, 0.13];
 const UMBER: [f32; 3] = [0.24, 0.15, 0.14];
 const INDIGO: [f32; 3] = [0.10, 0.14, 0.36];
 
-/// Strokes of one direction.
+/// Layer of strokes of one direction.
 struct Layer {
-    /// Darkness from which on there are strokes.
+    /// Darkness above which there are strokes.
     from: f32,
-    /// Pixels from stroke to stroke.
+    /// Distance between strokes, pixels.
     apart: f32,
     ink: [f32; 3],
-    /// Axis about which strokes run around round things.
+    /// Axis around which strokes run on round objects.
     axis: [f32; 3],
-    /// Direction on things that lie, and on things that stand.
+    /// Direction on horizontal surfaces, followed by that on vertical ones.
     lying: [f32; 2],
     standing: [f32; 2],
 }
@@ -49,7 +49,7 @@ const LAYERS: [Layer; 5] = [
     Layer { from: 0.83, apart: 3.1, ink: INDIGO, axis: [0.70, 0.55, 0.45], lying: [1.0, 0.12], standing: [0.6, -1.0] },
 ];
 
-/// Paints.
+/// Paints a picture in this style.
 pub fn paint(sight: &Sight) -> Picture {
     let mut canvas = Canvas::new(sight.width, sight.height, PAPER);
     for at in 0..canvas.pixels.len() {
@@ -65,12 +65,12 @@ pub fn paint(sight: &Sight) -> Picture {
     canvas.picture()
 }
 
-/// How rough the paper is: about -1..1.
+/// Roughness of the paper, about -1..1.
 fn tooth(x: f32, y: f32) -> f32 {
     0.6 * chance::noise(11, x / 1.3, y / 1.3) + 0.5 * chance::noise(12, x / 3.1, y / 2.6)
 }
 
-/// What a draftsman makes of the light, 0..1: less of the colors of things, paper where it shines.
+/// Computes the darkness that is drawn, 0..1: it depends less on the objects' colors, and highlights stay paper.
 fn darkness(sight: &Sight) -> Vec<f32> {
     let value = |at: usize| {
         let local = 0.6 + 0.4 * crate::sight::luma(sight.local[at]);
@@ -98,7 +98,7 @@ fn hatch(canvas: &mut Canvas, sight: &Sight, dark: &[f32], number: u64, layer: &
     for Place { key, x, y } in chance::places(40 + number, sight.width, sight.height, 2.0) {
         let word = |word: u64| chance::signed(&[key, word]);
         let object = sight.object[sight.at(x, y)];
-        // The hand begins and ends a little early or late.
+        // Strokes begin and end slightly early or late.
         let enough = layer.from + 0.07 * word(3);
         let dark_at = |x: f32, y: f32| sight.smooth(dark, x, y);
         if dark_at(x, y) < enough || !taken.free(x, y, 0.0) {
@@ -137,14 +137,14 @@ fn hatch(canvas: &mut Canvas, sight: &Sight, dark: &[f32], number: u64, layer: &
     }
 }
 
-/// Ink of the pen for a thing of this color: a little of it is in the ink, the less the darker that is.
+/// Mixes the ink with a little of the object's color, less for darker inks.
 fn own(ink: [f32; 3], local: [f32; 3]) -> [f32; 3] {
     let gray = crate::sight::luma(local);
     let mixed = std::array::from_fn(|i| (ink[i] + 0.9 * (local[i] - gray)).clamp(0.04, 0.7));
     mix(ink, mixed, (4.5 * (crate::sight::luma(ink) - 0.1)).clamp(0.0, 0.8))
 }
 
-/// A stroke of the pen, which skips hollows of the paper.
+/// Draws a stroke of the pen, which skips hollows of the paper.
 fn ink(canvas: &mut Canvas, dabs: &[Dab], color: [f32; 3], strength: f32) {
     for touch in canvas.touched(dabs) {
         let held = ramp(-0.95, -0.35, tooth(touch.x, touch.y));
@@ -152,11 +152,11 @@ fn ink(canvas: &mut Canvas, dabs: &[Dab], color: [f32; 3], strength: f32) {
     }
 }
 
-/// Outlines, heavy in the dark, lost in the light.
+/// Draws outlines, heavy in the dark and missing in the light.
 fn contours(canvas: &mut Canvas, sight: &Sight, dark: &[f32]) {
     for outline in outlines(sight) {
         for (number, piece) in outline.points.chunks((26.0 / STEP) as usize).enumerate() {
-            // Two goes of the pen that do not quite meet.
+            // Two strokes of the pen that do not quite meet.
             for go in 0..2u64 {
                 let word = |word: u64| chance::signed(&[50, outline.object.into(), number as u64, go, word]);
                 let dabs: Vec<Dab> = piece

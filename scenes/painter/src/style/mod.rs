@@ -1,4 +1,4 @@
-//! Styles, a file each.
+//! Styles, one file each.
 
 pub mod cel;
 pub mod hatching;

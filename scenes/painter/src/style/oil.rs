@@ -1,13 +1,12 @@
-//! Oil on canvas: coarse strokes first and finer ones where the painting is not like what is seen yet
-//! (\[hertzmann1998\]), along forms and contours, of bristles that leave ridges. Lights are warm, shadows violet, light
-//! thrown back glows in them.
+//! Oil on canvas: coarse strokes first, and finer ones where the painting still differs from the render (\[hertzmann1998\]).
+//! Strokes follow forms and contours, and bristles leave ridges. Lights are warm, shadows violet, and bounced light glows in them.
 
 use crate::canvas::{Canvas, Dab, FINE, follow, mix, ramp};
 use crate::sight::luma;
 use crate::{Sight, chance, chance::Place};
 use femc_film::Picture;
 
-/// What the canvas is primed with, and shows between strokes.
+/// Color of the primed canvas, which shows between strokes.
 const GROUND: [f32; 3] = [0.47, 0.31, 0.22];
 
 struct Brush {
@@ -15,11 +14,11 @@ struct Brush {
     radius: f32,
     /// Longest stroke, in half widths.
     long: f32,
-    /// Difference of colors from which on it is taken up.
+    /// Color difference above which the brush is used.
     unlike: f32,
-    /// How different in color the paint of two strokes may be.
+    /// Greatest color difference between the paint of two strokes.
     broken: f32,
-    /// How thick the paint is.
+    /// Thickness of the paint.
     body: f32,
 }
 
@@ -30,7 +29,7 @@ const BRUSHES: [Brush; 4] = [
     Brush { radius: 1.4, long: 9.0, unlike: 0.085, broken: 0.04, body: 1.2 },
 ];
 
-/// Paints.
+/// Paints a picture in this style.
 pub fn paint(sight: &Sight) -> Picture {
     let mut painting = Painting {
         sight,
@@ -51,18 +50,18 @@ struct Painting<'a> {
     sight: &'a Sight,
     wanted: Vec<[f32; 3]>,
     canvas: Canvas,
-    /// Of the paint on each pixel of the canvas.
+    /// Height of the paint on each canvas pixel.
     height: Vec<f32>,
 }
 
-/// The colors that a painter sees into the light.
+/// Computes the colors that the painting should have.
 fn wanted(sight: &Sight) -> Vec<[f32; 3]> {
     const LIT: [f32; 3] = [1.06, 0.98, 0.82];
     const COLD: [f32; 3] = [0.20, 0.19, 0.36];
     const GLOW: [f32; 3] = [0.60, 0.31, 0.07];
     let color = |at: usize| {
         let local = sight.local[at];
-        // More color than there is.
+        // Increase the saturation.
         let gray = luma(local);
         let rich = local.map(|c| (gray + 1.9 * (c - gray)).clamp(0.02, 1.0));
         let light = 0.5 * (sight.light[at] + sight.lit[at]);
@@ -73,7 +72,7 @@ fn wanted(sight: &Sight) -> Vec<[f32; 3]> {
         let base = if lit < 0.5 { mix(shade, half, 2.0 * lit) } else { mix(half, full, 2.0 * lit - 1.0) };
         let glow = (1.0 - 0.8 * lit) * ramp(0.08, 0.30, sight.bounce[at]) * 0.60;
         let warmed = std::array::from_fn(|i| base[i] + glow * GLOW[i] * (0.35 + rich[i]));
-        // Where no light comes to it is nearly black.
+        // Areas without light are nearly black.
         let deep = ramp(0.30, 0.08, light + 2.0 * sight.bounce[at]);
         let color = mix(warmed, [0.09, 0.07, 0.15], 0.6 * deep);
         mix(color, [1.0, 0.985, 0.93], ramp(0.25, 0.95, sight.gloss[at]))
@@ -82,7 +81,7 @@ fn wanted(sight: &Sight) -> Vec<[f32; 3]> {
 }
 
 impl Painting<'_> {
-    /// Canvas weave, and a ground that was rubbed on.
+    /// Paints the canvas weave and a rubbed ground.
     fn prime(&mut self) {
         for at in 0..self.canvas.pixels.len() {
             let (x, y) = self.canvas.position(at);
@@ -129,7 +128,7 @@ impl Painting<'_> {
         }
     }
 
-    /// What is wanted, as coarse as the brush.
+    /// Blurs the wanted colors to the size of the brush.
     fn seen_by(&self, radius: f32) -> Vec<[f32; 3]> {
         let plane = |i: usize| {
             let values: Vec<f32> = self.wanted.iter().map(|color| color[i]).collect();
@@ -139,7 +138,7 @@ impl Painting<'_> {
         r.into_iter().zip(g).zip(b).map(|((r, g), b)| [r, g, b]).collect()
     }
 
-    /// How far the painting is from what is wanted under the brush, on average.
+    /// Returns the mean difference between the painting and the wanted colors under the brush.
     fn unlike(&self, seen: &[[f32; 3]], x: f32, y: f32, radius: f32) -> f32 {
         let mut sum = 0.0;
         for (u, v) in [(0.0, 0.0), (0.7, 0.0), (-0.7, 0.0), (0.0, 0.7), (0.0, -0.7)] {
@@ -153,7 +152,8 @@ impl Painting<'_> {
         sum / 5.0
     }
 
-    /// Around round things and across the slope of the light; elsewhere as the wrist goes.
+    /// Returns the direction of a stroke: around round objects, across steep slopes of the light, and elsewhere along the sway of
+    /// the wrist.
     fn direction(&self, tone: &[f32], x: f32, y: f32, radius: f32, number: u64) -> [f32; 2] {
         let sight = self.sight;
         let at = sight.at(x, y);
@@ -164,7 +164,7 @@ impl Painting<'_> {
         let n = sight.normal[at];
         let turn = 0.9 * chance::noise(30 + number as u32, x / 38.0, y / 30.0);
         let wrist = if sight.curved[usize::from(sight.object[at])] > 0.05 {
-            // Circles of latitude about a leaning axis.
+            // Circles of latitude about a tilted axis.
             let axis = [-0.35f32, -0.82, 0.45];
             [n[1] * axis[2] - n[2] * axis[1], n[2] * axis[0] - n[0] * axis[2]]
         } else if n[1] < -0.6 {
@@ -177,7 +177,7 @@ impl Painting<'_> {
         std::array::from_fn(|i| (1.0 - trust) * wrist[i] + trust * sign * contour[i])
     }
 
-    /// Paint is never mixed twice the same: lighter or darker, warmer or colder.
+    /// Varies the color of a stroke: lighter or darker, warmer or colder.
     fn mixed(&self, color: [f32; 3], broken: f32, word: &impl Fn(u64) -> f32) -> [f32; 3] {
         let (light, warm, green) = (broken * word(11), broken * word(12), 0.5 * broken * word(13));
         [color[0] + light + 0.6 * warm, color[1] + light + green, color[2] + light - 0.8 * warm]
@@ -191,21 +191,21 @@ impl Painting<'_> {
         for touch in touches {
             let hair = chance::noise(seed, touch.across * bristles, touch.along / (4.0 * brush.radius));
             let fine = chance::noise(seed ^ 77, touch.across * bristles * 2.3, touch.along / (2.5 * brush.radius));
-            // The brush runs dry towards the end: some hairs leave nothing.
+            // The brush runs dry toward the end, where some bristles leave nothing.
             let spent = ramp(0.55, 1.05, touch.along / length);
             let wet = ramp(-0.55, -0.15, hair + 0.4 * fine + 0.25 - 1.0 * spent);
             let cover = touch.cover * (0.35 + 0.65 * wet) * (0.88 + 0.12 * wet);
             let streak = 0.045 * hair + 0.035 * fine;
             let paint = color.map(|c| c + streak);
             self.canvas.lay(touch.at, paint, cover.min(1.0));
-            // Paint is pushed to the sides and to the end.
+            // The brush pushes paint to the sides and to the end.
             let ridge = ramp(0.62, 0.9, touch.across.abs()) + 0.5 * ramp(0.85, 1.0, touch.along / length);
             let thick = brush.body * (0.30 + 0.45 * hair + 0.25 * fine + 0.45 * ridge);
             self.height[touch.at] += cover * (thick - 0.8 * self.height[touch.at]);
         }
     }
 
-    /// The highlight, set down at last in thick paint.
+    /// Paints the highlights last, in thick paint.
     fn glance(&mut self) {
         let sight = self.sight;
         let brush = Brush { radius: 2.6, long: 3.0, unlike: 0.0, broken: 0.02, body: 1.8 };
@@ -219,7 +219,7 @@ impl Painting<'_> {
         }
     }
 
-    /// Light from the upper left on the ridges of the paint.
+    /// Lights the ridges of the paint from the upper left.
     fn light_it(&mut self) {
         let (width, height) = (self.canvas.width, self.canvas.height);
         let relief = |column: usize, row: usize| self.height[row.min(height - 1) * width + column.min(width - 1)];

@@ -1,6 +1,6 @@
-//! Watercolor: transparent washes over white paper, from light to dark. Pigment gathers at the edges of a wash and in
-//! hollows of the paper, wet paint runs into wet paint, backruns bloom (\[curtis1997\] tells of all these); highlights
-//! and thin gaps between things are left white.
+//! Watercolor: transparent washes on white paper, from light to dark. Pigment gathers at the edges of a wash and in hollows of the
+//! paper, wet paint runs into wet paint, and backruns bloom (\[curtis1997\] describes all these). Highlights and thin gaps between
+//! objects stay white.
 
 use crate::canvas::{Canvas, Dab, follow, mix, ramp};
 use crate::outline::{Near, outlines};
@@ -10,14 +10,14 @@ use femc_math::elementary::{exp, ln, pow};
 
 const PAPER: [f32; 3] = [0.985, 0.975, 0.945];
 const GRAPHITE: [f32; 3] = [0.55, 0.54, 0.55];
-/// What a pigment of density 1 lets through.
+/// Transmittance of a pigment of density 1.
 const ULTRAMARINE: [f32; 3] = [0.26, 0.34, 0.66];
 const VIOLET: [f32; 3] = [0.50, 0.36, 0.58];
 const SIENNA: [f32; 3] = [0.92, 0.50, 0.24];
 const OCHRE: [f32; 3] = [0.97, 0.82, 0.58];
 const INDIGO: [f32; 3] = [0.16, 0.18, 0.32];
 
-/// Paints.
+/// Paints a picture in this style.
 pub fn paint(sight: &Sight) -> Picture {
     let mut sheet = Sheet::new(sight);
     sheet.pencil();
@@ -42,25 +42,25 @@ struct Sheet<'a> {
     canvas: Canvas,
     /// Height of the paper, about -1..1.
     tooth: Vec<f32>,
-    /// Object of each pixel of the canvas, as an unsteady hand has it.
+    /// Object of each canvas pixel, with the error of an unsteady hand.
     object: Vec<u8>,
-    /// How far from the border of its object, pixels.
+    /// Distance from the border of the object, pixels.
     inner: Vec<f32>,
     light: Vec<f32>,
     bounce: Vec<f32>,
 }
 
-/// A wash.
+/// Properties of a wash.
 struct Wash {
     seed: u32,
     pigment: [f32; 3],
-    /// How much more there is at its edges.
+    /// Additional density at its edges.
     edge: f32,
-    /// How much it gathers in hollows.
+    /// Strength of gathering in hollows of the paper.
     grain: f32,
-    /// How uneven it flows.
+    /// Unevenness of the flow.
     flow: f32,
-    /// How many backruns.
+    /// Number of backruns.
     blooms: u32,
 }
 
@@ -90,13 +90,13 @@ impl<'a> Sheet<'a> {
         Self { sight, canvas, tooth, object, inner, light, bounce }
     }
 
-    /// Light of each kind at a place, where the hand has it.
+    /// Returns direct and bounced light at a point. An unsteady hand displaces the direct light.
     fn lit(&self, x: f32, y: f32) -> (f32, f32) {
         let (u, v) = unsteady(x + 40.0, y);
         (self.sight.smooth(&self.light, x + 1.5 * u, y + 1.5 * v), self.sight.smooth(&self.bounce, x, y))
     }
 
-    /// Faint lines to begin with.
+    /// Draws faint pencil lines first.
     fn pencil(&mut self) {
         for outline in outlines(self.sight) {
             for (number, piece) in outline.points.chunks(34).enumerate() {
@@ -114,7 +114,7 @@ impl<'a> Sheet<'a> {
         }
     }
 
-    /// Lays a wash where `inside`, as dense as `amount` says.
+    /// Paints a wash in the area `inside`, with the density `amount`.
     fn lay(&mut self, wash: &Wash, inside: &[bool], amount: impl Fn(usize, f32, f32) -> f32) {
         let far = self.canvas.depth_within(inside);
         let absorbed = wash.pigment.map(|c| -ln(c.clamp(0.02, 0.995)));
@@ -146,7 +146,7 @@ impl<'a> Sheet<'a> {
         }
     }
 
-    /// Pixels of an object, but for the paper that is left white around it.
+    /// Returns the pixels of an object, without the paper that stays white around it.
     fn of(&self, object: u8, also: impl Fn(usize, f32, f32) -> bool) -> Vec<bool> {
         let inside = |at: usize| {
             if self.object[at] != object {
@@ -159,8 +159,7 @@ impl<'a> Sheet<'a> {
         (0..self.object.len()).map(inside).collect()
     }
 
-    /// The color of the thing itself, as a pigment: with a little ochre in all of them, so that light differs more than
-    /// things do.
+    /// Returns the object's color as a pigment. A little ochre in all pigments makes light differ more than objects.
     fn pigment(&self, object: u8) -> [f32; 3] {
         let mut sum = [0.0f32; 3];
         let of_it = self.sight.object.iter().zip(&self.sight.local).filter(|(o, _)| **o == object);
@@ -182,7 +181,7 @@ impl<'a> Sheet<'a> {
             flow: 0.42,
             blooms: if sight.curved[usize::from(object)] > 0.05 { 1 } else { 5 },
         };
-        // Paper sparkles through where a dry brush went over it quickly.
+        // Paper shows through where a dry brush moved quickly.
         let inside = self.of(object, |at, x, y| {
             let quick =
                 if lying { chance::cloud(15, x / 34.0, y / 4.0, 3) } else { chance::cloud(16, x / 18.0, y / 22.0, 3) };
@@ -204,7 +203,7 @@ impl<'a> Sheet<'a> {
         up / count.max(1.0) > 0.6
     }
 
-    /// Laid into the damp first wash: it has no edge towards the light.
+    /// Paints the half shadow into the damp first wash, so it has no edge toward the light.
     fn half_shadow(&mut self, object: u8) {
         let pigment = self.pigment(object);
         let deeper = std::array::from_fn(|i| pigment[i] * (0.35 + 0.65 * VIOLET[i]));
@@ -221,7 +220,7 @@ impl<'a> Sheet<'a> {
         self.lay(&wash, &inside, |at, _, _| 0.55 * ramp(0.70, 0.25, lit[at]));
     }
 
-    /// When that is dry: its edge stands, but for where the light fades slowly.
+    /// Paints the shadow after the half shadow is dry, so it has an edge, except where the light fades slowly.
     fn shadow(&mut self, object: u8) {
         let seed = 300 + 10 * u32::from(object);
         let lit: Vec<f32> =
@@ -237,7 +236,7 @@ impl<'a> Sheet<'a> {
         }
     }
 
-    /// Warm paint dropped into the wet shadow where light is thrown back.
+    /// Adds warm paint to the wet shadow where there is bounced light.
     fn glow(&mut self, object: u8) {
         let wash =
             Wash { seed: 400 + 10 * u32::from(object), pigment: SIENNA, edge: 0.0, grain: 0.15, flow: 0.65, blooms: 0 };
@@ -257,7 +256,7 @@ impl<'a> Sheet<'a> {
         (0..self.object.len()).map(at).collect()
     }
 
-    /// A broad brush goes over flat things again while they dry: where its strokes overlap, there is more paint.
+    /// Paints over flat objects with a broad brush while they dry. Overlapping strokes leave more paint.
     fn broad(&mut self, object: u8) {
         let sight = self.sight;
         let lying = self.lies(object);
@@ -291,7 +290,7 @@ impl<'a> Sheet<'a> {
         }
     }
 
-    /// Small strokes of the brush over the dry washes, along the forms.
+    /// Paints small strokes along the forms over the dry washes.
     fn strokes(&mut self) {
         let sight = self.sight;
         let mut taken = Near::new(sight.width, sight.height, 6.5);
@@ -345,7 +344,7 @@ impl<'a> Sheet<'a> {
         }
     }
 
-    /// The darkest places, where no light comes to.
+    /// Paints the darkest areas, which receive no light.
     fn accents(&mut self) {
         let wash = Wash { seed: 500, pigment: INDIGO, edge: 0.4, grain: 0.35, flow: 0.35, blooms: 0 };
         let dim: Vec<f32> = self.everywhere(|sheet, x, y| {
@@ -359,14 +358,14 @@ impl<'a> Sheet<'a> {
     }
 }
 
-/// Where the hand is instead, pixels off.
+/// Returns the displacement by an unsteady hand, pixels.
 fn unsteady(x: f32, y: f32) -> (f32, f32) {
     let far =
         |seed: u32| 1.3 * chance::noise(seed, x / 21.0, y / 21.0) + 0.5 * chance::noise(seed + 1, x / 5.0, y / 5.0);
     (far(40), far(44))
 }
 
-/// Cold-pressed paper.
+/// Height of cold-pressed paper.
 fn tooth(x: f32, y: f32) -> f32 {
     let (u, v) = (x + 0.8 * chance::noise(22, x / 4.0, y / 4.0), y + 0.8 * chance::noise(23, x / 4.0, y / 4.0));
     0.75 * chance::noise(20, u / 2.3, v / 2.0) + 0.4 * chance::noise(21, u / 1.1, v / 1.1)

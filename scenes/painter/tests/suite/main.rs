@@ -1,4 +1,4 @@
-//! The painter and what it has painted.
+//! Tests of the painter and of its committed pictures.
 
 mod sight;
 mod styles;

@@ -1,4 +1,4 @@
-//! What is seen in the shipped guides: a ball, a table, a wall, and the dark beside it.
+//! Checks the view of the shipped guides: a ball, a table, a wall, and the dark beside it.
 
 use femc_painter::outline::outlines;
 use femc_painter::{Guides, Sight};
@@ -9,7 +9,7 @@ fn ball() -> Sight {
     Sight::of(&Guides::read(&path).unwrap()).unwrap()
 }
 
-/// The ball in the picture: middle and radius, pixels.
+/// Center of the ball in the picture, followed by its radius, pixels.
 const MIDDLE: [f32; 2] = [160.0, 163.0];
 const RADIUS: f32 = 101.0;
 
@@ -22,7 +22,7 @@ fn there_are_four_things_and_one_of_them_is_round() {
     assert!(round != table && table != wall && wall != round);
     let curved = |object: u8| sight.curved[usize::from(object)];
     assert!(curved(round) > 0.2 && curved(table) < 0.02 && curved(wall) < 0.02, "{:?}", sight.curved);
-    // The normal of the ball points away from its middle; the table's up, the wall's to the eye.
+    // The normals of the ball point away from its center, those of the table up, those of the wall to the eye.
     for (x, y) in [(110.0f32, 120.0f32), (200.0, 140.0), (160.0, 220.0)] {
         let n = sight.normal[sight.at(x, y)];
         let (u, v) = ((x - MIDDLE[0]) / RADIUS, (y - MIDDLE[1]) / RADIUS);

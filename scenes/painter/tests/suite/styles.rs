@@ -1,4 +1,4 @@
-//! The committed pictures come from the committed guides, by this program, to the byte.
+//! Checks that this program makes the committed pictures from the committed guides, byte for byte.
 
 use femc_painter::guides::LAYERS;
 use femc_painter::{Guides, PainterError, STYLES, Sight};
@@ -14,7 +14,7 @@ fn painter(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_femc-painter")).args(arguments).output().expect("femc-painter runs")
 }
 
-/// A gray ball-like slope of light of 24 x 16 pixels on a floor of another color.
+/// Returns a gray ball-like slope of light of 24 x 16 pixels on a floor of another color.
 fn small() -> Guides {
     let (width, height) = (24u32, 16u32);
     let column = |at: u32| (at % width) as f32;
@@ -76,7 +76,7 @@ fn any_size_and_any_values_are_painted_without_a_panic() {
         };
         guides.layers[1][0] = [8.0; 3];
         guides.albedo[0] = [0.5; 3];
-        // Whatever is seen in it, or that nothing is.
+        // The analysis may succeed or find no light.
         let Ok(sight) = Sight::of(&guides) else { continue };
         for style in STYLES {
             let picture = (style.paint)(&sight);

@@ -1,4 +1,4 @@
-//! Light that is known in closed form, in scenes of `femc_tests::closed_forms`.
+//! Checks the first pass against light known in closed form, in scenes of `femc_tests::closed_forms`.
 
 use femc_math::glam::DVec3;
 use femc_tests::closed_forms::{
@@ -6,7 +6,7 @@ use femc_tests::closed_forms::{
     third_exponential_integral,
 };
 
-/// Errors of a case, all of whose light is a number.
+/// Computes the errors of a case, and checks that all of its light is a number.
 fn found(case: &Case, error: f32) -> Errors {
     let (solved, pairs) = case.solve(error);
     assert!(pairs.iter().flatten().all(|value| value.is_finite() && *value >= 0.0), "{}", case.name);
@@ -15,8 +15,8 @@ fn found(case: &Case, error: f32) -> Errors {
     errors
 }
 
-/// Light that comes through a sheet is what arrives on its other side, however much finer that side is cut; and a disc sends from all of
-/// it, as evenly bright as it may be.
+/// Light through a sheet equals the light that arrives on its other side, even if that side is subdivided more finely. A disc emits
+/// from its whole area, however even its brightness is.
 #[test]
 fn coaxial_discs_have_their_form_factors() {
     for ([r1, r2, h], want) in
@@ -25,7 +25,7 @@ fn coaxial_discs_have_their_form_factors() {
         assert!((of_discs(r1, r2, h) - want).abs() < 1e-6);
         let case = discs(r1, r2, h);
         let (_, pairs) = case.solve(0.1);
-        // The mean of the closed form at points is that of the discs.
+        // The closed form averaged over points equals the form factor of the discs.
         let mean = pairs.iter().map(|pair| pair[1]).sum::<f64>() / pairs.len() as f64;
         assert!((mean / want - 1.0).abs() < 2e-3, "{mean}, not {want}");
         for (error, of_mean, rms) in [(0.3, 0.03, 0.05), (0.1, 0.01, 0.02), (0.03, 0.004, 0.006)] {
@@ -50,7 +50,7 @@ fn a_plate_under_a_ball_has_the_ball_s_form_factor() {
     assert!(found.mean.abs() < 0.05 && found.rms < 0.08, "{found:?}");
 }
 
-/// With 3 free paths from wall to wall a tenth of the scattered light is missing: boxes of fog are not exact for what is next to them.
+/// With 3 free paths from wall to wall, a tenth of the scattered light is missing: boxes of fog are inexact for their neighbors.
 #[test]
 fn fog_that_takes_nothing_leaves_the_furnace_s_light_on_walls_and_in_it() {
     for (scattering, most) in [(0.3, 0.05), (1.0, 0.05), (3.0, 0.13)] {
@@ -61,7 +61,8 @@ fn fog_that_takes_nothing_leaves_the_furnace_s_light_on_walls_and_in_it() {
     }
 }
 
-/// E = flux / area * r k / (1 - r k): k is 1 in a whole sphere, less by the share of a port, or what a gas leaves of the way across.
+/// E = flux / area * r k / (1 - r k): k is 1 in a whole sphere. A port reduces it by its share. With gas, it is the fraction
+/// transmitted from wall to wall.
 #[test]
 fn spheres_integrate_with_a_port_and_with_gas_that_absorbs() {
     for (case, mean, rms) in [
@@ -74,7 +75,7 @@ fn spheres_integrate_with_a_port_and_with_gas_that_absorbs() {
     }
 }
 
-/// Of the light of a plane a slab of absorption t lets 2 E3(t) through, and a slab that scatters the same straight.
+/// A slab of optical thickness t transmits the fraction 2 E3(t) of a plane's light directly, whether it absorbs or also scatters.
 #[test]
 fn what_goes_straight_through_a_slab_is_twice_the_third_exponential_integral() {
     assert!((third_exponential_integral(1.0) - 0.109_692).abs() < 1e-5);
@@ -88,8 +89,8 @@ fn what_goes_straight_through_a_slab_is_twice_the_third_exponential_integral() {
     }
 }
 
-/// Fluence by scattered light 1 free path from a lamp in fog without end, where a surface is far away and where there is none. A third
-/// of it is not found, and farther away more, as errors are a share of the fog's mean.
+/// Fluence of scattered light 1 free path from a lamp in unbounded fog, with a surface far away and without. A third of it is
+/// missing, and more at larger distances, because errors are relative to the fog's mean.
 #[test]
 fn light_of_a_lamp_in_fog_without_end_falls_off() {
     for is_walled in [true, false] {
@@ -104,7 +105,7 @@ fn light_of_a_lamp_in_fog_without_end_falls_off() {
     }
 }
 
-/// Light that a slab sends back, and that it lets through after scattering: of a slab of 12 m beside the closed form's, which has no end.
+/// Reflected light of a slab, and light transmitted after scattering. The slab is 12 m wide, that of the closed form is unbounded.
 #[test]
 fn slabs_that_take_nothing_reflect_and_let_through_what_they_should() {
     for (number, most) in [(1, [0.05, 0.09, 0.07]), (2, [0.08, 0.08, 0.08])] {

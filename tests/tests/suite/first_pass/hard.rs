@@ -1,4 +1,4 @@
-//! Scenes that break finite elements: what the solver does not do it says, and it ends.
+//! Scenes that break finite elements. The solver must terminate and report its failures.
 
 use super::{CAMERA, cube};
 use femc_field::Leaf;
@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 
 const LAMP: &str = "m lamp =\n  ed 100\nv l =\n  p .5 .5 .5\nsph l .05\n";
 
-/// Solves a scene in so many bytes, and looks at every number of its light.
+/// Solves a scene within a memory limit in bytes, and checks every number of its light.
 fn solve(text: &str, error: f32, memory: usize) -> Solved {
     let solved = Solved::new(text, &Options { error, memory, ..Options::default() });
     for leaf in solved.field.leaves.iter().chain(&solved.direct.leaves) {
@@ -25,7 +25,7 @@ fn solve(text: &str, error: f32, memory: usize) -> Solved {
     solved
 }
 
-/// Scenes by name.
+/// Returns scenes with their names.
 fn scenes() -> Vec<(&'static str, String)> {
     let mut needles = cube();
     for k in 0..40 {
@@ -43,7 +43,7 @@ fn scenes() -> Vec<(&'static str, String)> {
         let _ = writeln!(sizes, "v {name} =\n  p {x} {y} {z}");
     }
     sizes.push_str("f a b c d\nv e =\n  p .5 .5 .001\nsph e .0005\nv g =\n  p .501 .5 .001\nsph g .0004\n");
-    // The same faces twice, turned, and in part.
+    // The same faces twice, flipped, and in part.
     let overlapping = format!("{0}f p2 p1 p0\nf p0 p3 p2\nv q =\n  p .5 .5 0\nf p0 p1 q\n{0}", cube());
     let open = "v a =\n  p 0 0 0\nv b =\n  p 1 0 0\nv c =\n  p 1 1 .2\nv d =\n  p 0 1 0\nf a b c\nf a c d\nf a b d\n"
         .to_owned();
@@ -67,7 +67,7 @@ fn what_breaks_finite_elements_stays_inside_a_budget_and_says_what_it_leaves_out
     }
 }
 
-/// Light that nothing takes grows without end: iterations end, and the residual says that the light is not what it would be.
+/// Without absorption, light grows without bound. The iterations end, and the residual reports that the light has not converged.
 #[test]
 fn a_closed_room_that_takes_nothing_ends_and_says_so() {
     let room = |reflectance: f64| format!("{CAMERA}m w =\n  sides 1\n  rd {reflectance}\n  ed 1\n{}", cube());
@@ -79,8 +79,8 @@ fn a_closed_room_that_takes_nothing_ends_and_says_so() {
     assert!(bright.residual <= 1e-4 && bright.iterations < grown.iterations, "{bright:?}");
 }
 
-/// The far room is lit through an opening that fills 1 % of its view. Its light is less than the share of the whole's mean that errors
-/// are judged by, and too little of it is found; no part of it is taken as dark.
+/// The far room is lit through an opening that fills 1 % of its view. Its light is below the fraction of the global mean that
+/// errors refer to, so too little of it is found. No part of it counts as dark.
 #[test]
 fn two_rooms_that_an_opening_joins_are_both_lit() {
     let text = two_rooms();

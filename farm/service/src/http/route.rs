@@ -183,7 +183,9 @@ impl Route {
 fn window(query: Query<'_>) -> Result<TaskWindow, Fault> {
     let state = query.get("state").map(|name| {
         let known = TaskState::ALL.into_iter().find(|state| state.name() == name);
-        known.ok_or_else(|| invalid("state", &format!("`{name}`: give waiting, queued, running, done or failed")))
+        known.ok_or_else(|| {
+            invalid("state", &format!("unknown state `{name}` (expected waiting, queued, running, done or failed)"))
+        })
     });
     let filter = TaskFilter { frame: query.number("frame")?, stage: query.number("stage")?, state: state.transpose()? };
     let (from, count) = (query.number("from")?.unwrap_or(0), query.number("count")?.unwrap_or(1000));

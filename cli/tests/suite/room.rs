@@ -98,12 +98,12 @@ fn a_disk_that_fills_up_is_told_of_by_jobs_before_new_ones_are_refused() {
     let url = farm.address();
     submit(&place, &url, "--spp 1 --frames 1");
     let ran = place.run(&format!("jobs --server {url}")).exits(0);
-    assert!(ran.stderr().contains("MiB are left for the log"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("MiB are free for the log"), "{}", ran.stderr());
     std::fs::write(at.join("ballast"), vec![1; 15 << 20]).expect("there is room");
     farm.wait_until("a refusal", || {
         let ran = place.run(&format!("submit fog.mgf --spp 1 --frames 1 --server {url}"));
         ran.stderr().contains("accepts no new jobs")
     });
     let ran = place.run(&format!("jobs --server {url}")).exits(0);
-    assert!(ran.stderr().contains("no new jobs are taken until"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("new jobs are refused until"), "{}", ran.stderr());
 }

@@ -482,7 +482,8 @@ impl Graph {
             for (stage, need) in self.readers(made).filter(|reader| beyond(made, reader)) {
                 let mut others = self.readers(made).filter(|reader| beyond(made, reader));
                 if others.any(|(_, other)| other.role == need.role && other.round != need.round) {
-                    let why = "stages of another scope must all read the last round of a loop's output, or all read every round";
+                    let why =
+                        "readers in another scope must all read the last round of a loop's output, or all every round";
                     return Err(GraphError::Need { stage, why });
                 }
             }

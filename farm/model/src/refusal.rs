@@ -94,7 +94,11 @@ pub enum Refusal {
         message: String,
     },
     /// A disk of the farm is full or nearly full.
-    #[error("the farm accepts no new jobs: only {} MiB are free for {place}; free disk space there (`femc gc`) and submit again", free >> 20)]
+    #[error(
+        "the farm accepts no new jobs: only {} MiB are free for {place}; \
+         free disk space there (`femc gc`) and submit again",
+        free >> 20
+    )]
     NoRoom {
         /// Data on the disk, and its path.
         place: String,

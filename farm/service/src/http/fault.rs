@@ -178,7 +178,8 @@ impl Fault {
                 "GET /api/v1/jobs/JOB/frames lists the `outputs` of finished frames; frame 0 has the outputs of the whole job"
             }
             Self::Lost { .. } => {
-                "the farm makes the result again (if the job failed or was cancelled: after a retry); request it when it is finished"
+                "the farm makes the result again (if the job failed or was cancelled: after a retry); \
+                 request it when it is finished"
             }
             Self::Range { .. } => "request a range within the file, or the whole file without `Range`",
             Self::TooLarge { .. } => "send a smaller body",

@@ -145,7 +145,7 @@ impl<S: Send + 'static> Http<S> {
         let patience = self.0.gate.limits().patience;
         let mapped = body.map_err(|error| std::io::Error::other(error.to_string()));
         let whole = tokio::time::timeout(patience, Limited::new(mapped, Self::BODY).collect()).await;
-        let late = || Fault::Cut { message: format!("not within {} s", patience.as_secs()) };
+        let late = || Fault::Cut { message: format!("timeout after {} s", patience.as_secs()) };
         match whole.map_err(|_| late())? {
             Ok(whole) => Ok(whole.to_bytes()),
             Err(error) if error.is::<LengthLimitError>() => Err(Fault::TooLarge { limit: Self::BODY }),

@@ -219,7 +219,10 @@ pub fn wait(job: &JobStatus, wait: &Wait) -> String {
             count(u64::from(*frames), "frame")
         ),
         Wait::Regrouping { milliseconds } => {
-            format!("the coordinator has just started and waits until workers reconnect; it dispatches tasks in {milliseconds} ms")
+            format!(
+                "the coordinator has just started and waits until workers reconnect; \
+                 it dispatches tasks in {milliseconds} ms"
+            )
         }
         Wait::BehindJob(job) => format!("job {job} is ahead in the queue"),
         Wait::StageWaits { frame, stage, needs, tasks } => {
@@ -229,14 +232,21 @@ pub fn wait(job: &JobStatus, wait: &Wait) -> String {
         Wait::SharedStage { shared, stage, done, tasks, jobs } => {
             let jobs = count(u64::from(*jobs), "job");
             let stage = stage.name();
-            format!("frames wait for {shared}, which is computed once for {jobs}: {done} of {tasks} {stage} tasks are done")
+            format!(
+                "frames wait for {shared}, which is computed once for {jobs}: \
+                 {done} of {tasks} {stage} tasks are done"
+            )
         }
         Wait::SharedQuarantined { shared, frames, tasks } => {
             let (frames, tasks) = (count(u64::from(*frames), "frame"), count(u64::from(*tasks), "task"));
             format!("{frames} cannot continue: {shared}, which they need, has {tasks} without attempts left")
         }
         Wait::Mishaps { tasks, message } => {
-            format!("{} failed without their own fault and will be retried: {message}", count(u64::from(*tasks), "task"))
+            format!(
+                "attempts at {} failed because of their environment (store, network or memory) \
+                 and will be retried: {message}",
+                count(u64::from(*tasks), "task")
+            )
         }
         Wait::ImageLost { frame: Stage::OF_JOB } => {
             "a still, the contact sheet or the clip is damaged or missing in the store; the job's own stages make it again"

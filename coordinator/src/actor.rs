@@ -204,7 +204,10 @@ impl<Q: Queue> Actor<Q> {
                 _ = doors.stop.changed() => break,
                 due = timer.tick() => {
                     if due.elapsed() > Self::STANDSTILL {
-                        tracing::warn!(seconds = due.elapsed().as_secs_f64(), "stood still; workers are heard first");
+                        tracing::warn!(
+                            seconds = due.elapsed().as_secs_f64(),
+                            "delayed; messages of workers are processed first"
+                        );
                         self.hear(Event::LoopStalled, &mut commands);
                     }
                     self.note_month(&mut commands);
@@ -502,7 +505,9 @@ impl<Q: Queue> Actor<Q> {
                         Ok(page) => Ok(attempts::page(page)),
                         Err(error) if error.remedy() == Remedy::Reopen => return Err(error.into()),
                         // Notes are stored beside the log. The log works without them.
-                        Err(error) => Err(Refusal::Unavailable { message: format!("what attempts took: {error}") }),
+                        Err(error) => {
+                            Err(Refusal::Unavailable { message: format!("cannot read the attempts: {error}") })
+                        }
                     };
                     drop(reply.send(page));
                 }
@@ -554,7 +559,7 @@ impl<Q: Queue> Actor<Q> {
         let Ok(note) = self.roster_note() else { return };
         let batch = Batch { notes: &[note], forgotten: &[ROSTER], ..Batch::default() };
         if let Err(error) = self.queue.append(batch).await {
-            tracing::warn!(%error, "the workers' last contacts are not noted");
+            tracing::warn!(%error, "cannot save the last contacts of workers");
         }
     }
 
@@ -593,7 +598,7 @@ impl<Q: Queue> Actor<Q> {
             let begun = Instant::now();
             match self.queue.snapshot(&state).await {
                 Err(error) if error.remedy() == Remedy::Room => {
-                    tracing::warn!(%error, "no snapshot: the log goes on growing until there is room for one");
+                    tracing::warn!(%error, "no space for a snapshot; the log grows until there is space");
                     self.snapshots_from = Instant::now() + Self::SNAPSHOT_AGAIN;
                     return Ok(());
                 }
@@ -611,7 +616,7 @@ impl<Q: Queue> Actor<Q> {
 fn no_copy(error: &QueueError) -> Refusal {
     match error {
         QueueError::NoCopy { .. } => Refusal::Invalid { field: "backup".into(), message: error.to_string() },
-        error => Refusal::Unavailable { message: format!("the log cannot be copied: {error}") },
+        error => Refusal::Unavailable { message: format!("cannot copy the log: {error}") },
     }
 }
 
@@ -643,7 +648,7 @@ fn usage_of(said: &mut FromWorker) -> impl Iterator<Item = TaskUsage> + use<> {
 fn artifact_missing(worker: WorkerId, said: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
     let FromWorker::Completed { task, epoch, .. } = said else { return None };
     let (task, epoch) = (*task, *epoch);
-    tracing::warn!(job = task.job.0, %task, worker = worker.0, message, "a result is not whole: it does not count");
+    tracing::warn!(job = task.job.0, %task, worker = worker.0, message, "result rejected: artifact missing or damaged");
     Some(Event::ArtifactMissing { worker, task, epoch, artifact, message })
 }
 

@@ -48,7 +48,7 @@ impl Ended {
 pub(crate) fn page(page: Page) -> AttemptPage {
     let read = |note: Vec<u8>| {
         decode_attempts(&note).unwrap_or_else(|error| {
-            tracing::warn!(%error, "attempts that were noted cannot be read");
+            tracing::warn!(%error, "cannot read saved attempts");
             Vec::new()
         })
     };

@@ -133,7 +133,7 @@ pub enum CoordinatorError {
         error: std::io::Error,
     },
     /// Other machines can reach the address, and the configuration does not permit that.
-    #[error("{address} can be reached from other machines, and connections are not encrypted")]
+    #[error("other machines can reach {address}, but connections are not encrypted")]
     Exposed {
         /// Address from the configuration.
         address: SocketAddr,

@@ -74,8 +74,8 @@ impl Disks {
             disk.free.store(free, Ordering::Relaxed);
             let is_low = free < Self::WARN.saturating_mul(*keep_free);
             match (disk.was_low.swap(is_low, Ordering::Relaxed), is_low) {
-                (false, true) => tracing::warn!(place = disk.place(), free, keep_free, "little room is left"),
-                (true, false) => tracing::info!(place = disk.place(), free, "there is room again"),
+                (false, true) => tracing::warn!(place = disk.place(), free, keep_free, "disk space is low"),
+                (true, false) => tracing::info!(place = disk.place(), free, "there is enough disk space again"),
                 (false, false) | (true, true) => {}
             }
         }
@@ -110,8 +110,8 @@ impl Disks {
             let free = disk.free().filter(|free| *free < Self::WARN.saturating_mul(keep))?;
             let (mib, place, keep) = (free >> 20, disk.place(), keep >> 20);
             let follows =
-                if free >> 20 < keep { "no new jobs are taken until" } else { "no new jobs will be taken if not" };
-            Some(format!("{mib} MiB are left for {place}; {follows} {keep} MiB are free (`femc gc`)"))
+                if free >> 20 < keep { "new jobs are refused until" } else { "new jobs will be refused if less than" };
+            Some(format!("{mib} MiB are free for {place}; {follows} {keep} MiB are free (`femc gc`)"))
         };
         self.0.disks.iter().filter_map(warning).collect()
     }

@@ -68,7 +68,7 @@ impl<Q: Queue> Actor<Q> {
         tokio::spawn(async move {
             for digest in due {
                 if let Err(error) = store.remove(&digest).await {
-                    tracing::warn!(%digest, %error, "an artifact that nobody needs stays");
+                    tracing::warn!(%digest, %error, "cannot delete an artifact that no job needs");
                 }
             }
         });

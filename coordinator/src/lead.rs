@@ -152,7 +152,7 @@ impl Candidate {
     fn note(&self, error: &QueueError) {
         match error {
             QueueError::Deposed { epoch } => {
-                tracing::warn!(epoch, "leads no longer: another coordinator does");
+                tracing::warn!(epoch, "another coordinator is the leader now; this one stands by");
                 self.tell(Standing::StandsBy { leader: None });
             }
             error => self.tell(Standing::Seeks { message: error.to_string() }),

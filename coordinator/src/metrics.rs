@@ -172,9 +172,11 @@ impl Metrics {
                 (None, Some(no)) => Health::Strained { message: no.to_string() },
                 (None, None) => Health::Ready,
             },
-            (Standing::Leads, None) => Health::Broken { message: "it does not answer itself".into() },
+            (Standing::Leads, None) => {
+                Health::Broken { message: "the coordinator's main task does not respond".into() }
+            }
             (Standing::StandsBy { leader: Some(leader) }, _) => {
-                Health::Waits { message: format!("standing by; {leader} leads") }
+                Health::Waits { message: format!("standing by; the leader is {leader}") }
             }
             (Standing::StandsBy { leader: None }, _) => Health::Waits { message: "standing by".into() },
             (Standing::Seeks { message }, _) => Health::Waits { message: message.clone() },
@@ -182,18 +184,19 @@ impl Metrics {
         let mut page = Page::default();
         let version = env!("CARGO_PKG_VERSION");
         let labels = [("version", version), ("protocol", &*PROTOCOL.to_string()), ("role", "coordinator")];
-        page.gauge("femc_build_info", "Which program this is; always 1.").with(&labels, 1.0);
+        page.gauge("femc_build_info", "Version and role of this program; always 1.").with(&labels, 1.0);
         let leads = *standing == Standing::Leads;
-        page.gauge("femc_leader", "Whether this coordinator leads: 1, or stands by: 0.").is(u8::from(leads));
-        page.counter("femc_leadership_terms_total", "How often it has begun to lead.").counts(self.0.terms.get());
+        page.gauge("femc_leader", "1 if this coordinator is the leader, 0 if it is a standby.").is(u8::from(leads));
+        page.counter("femc_leadership_terms_total", "Number of times that this coordinator became the leader.")
+            .counts(self.0.terms.get());
         if let Some(now) = &now {
             put_now(&mut page, now);
         }
         self.put_counts(&mut page);
         self.put_log(&mut page);
-        let help = "Whether the log waits for room on its disk: 1, and nothing goes on.";
+        let help = "1 while the log waits for disk space and all work is suspended.";
         page.gauge("femc_log_waits_for_room", help).is(u8::from(waits.is_some()));
-        let help = "Bytes that are free on the disks of the log and of the artifacts, where these are folders.";
+        let help = "Free bytes on the disks of the log and of the artifacts, if they are stored in folders.";
         let free = disks.iter().flat_map(Disks::free);
         page.gauge("femc_disk_free_bytes", help).each("holds", free);
         put_traffic(&mut page, &self.0.traffic);
@@ -203,24 +206,26 @@ impl Metrics {
 
     fn put_counts(&self, page: &mut Page) {
         let Inner { sessions, done, attempts, failures, granted, revoked, .. } = &*self.0;
-        page.counter("femc_tasks_done_total", "Results that count, by what the task did.").each("stage", done.get());
-        let help = "Attempts at tasks that have ended, by how: done, failed, cancelled, revoked, lost.";
+        page.counter("femc_tasks_done_total", "Accepted results, by kind of task.").each("stage", done.get());
+        let help = "Ended attempts, by ending: done, failed, cancelled, revoked, lost.";
         page.counter("femc_attempts_total", help).each("ending", attempts.get());
-        let help = "Tasks that were not done, by cause; store and resources are the surroundings', cancelled is given back: these use up no attempt; killed: a worker died while it computed it.";
+        let help = "Failed tasks, by cause. store and resources (faults of the environment) and cancelled (given back) \
+                    use up no attempt; killed: a worker died while computing the task.";
         page.counter("femc_task_failures_total", help).each("cause", failures.get());
-        let help = "Leases granted; second: of a late task, to another worker.";
+        let help = "Granted leases. second: a late task was leased to another worker as well.";
         page.counter("femc_leases_granted_total", help).each("lease", granted.get());
-        let help = "Leases taken back; expired: the worker was silent, the task stood still, or its frame began anew.";
+        let help = "Revoked leases, by reason. expired: the worker was silent, the task made no progress, or its frame \
+                    restarted.";
         page.counter("femc_leases_revoked_total", help).each("reason", revoked.get());
-        page.counter("femc_sessions_total", "Sessions that workers have begun.").counts(sessions.get());
+        page.counter("femc_sessions_total", "Sessions that workers started.").counts(sessions.get());
     }
 
     fn put_log(&self, page: &mut Page) {
         let Inner { appends, appended, snapshots, file, .. } = &*self.0;
-        let help = "How long it took to make a batch of the log durable, in seconds.";
+        let help = "Time to make a batch of the log durable, in seconds.";
         page.histogram("femc_log_append_seconds", help).with(&[], appends);
-        page.counter("femc_log_appended_bytes_total", "Bytes of records of the log.").counts(appended.get());
-        let help = "How long it took to put a snapshot in the place of the log, in seconds.";
+        page.counter("femc_log_appended_bytes_total", "Bytes of records written to the log.").counts(appended.get());
+        let help = "Time to replace the log with a snapshot, in seconds.";
         page.histogram("femc_log_snapshot_seconds", help).with(&[], snapshots);
         let file = file.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if let Some(file) = file {
@@ -229,7 +234,7 @@ impl Metrics {
                 name.push(end);
                 std::fs::metadata(name).map_or(0, |file| file.len())
             };
-            let help = "Size of the log's file and of the one that SQLite writes ahead, in bytes.";
+            let help = "Size of the log file and of SQLite's write-ahead log, in bytes.";
             page.gauge("femc_log_file_bytes", help).counts(size("") + size("-wal"));
         }
     }
@@ -238,47 +243,49 @@ impl Metrics {
 fn put_now(page: &mut Page, Now { figures, records }: &Now) {
     let Figures { jobs, ready, leased, quarantined, samples_left, workers, threads, used, stale_messages } = figures;
     let jobs = jobs.iter().map(|&(state, count)| (state.name(), count));
-    page.gauge("femc_jobs", "Jobs, by where they stand.").each("state", jobs);
+    page.gauge("femc_jobs", "Jobs, by state.").each("state", jobs);
     let by_stage = |counts: &[(StageKind, u64)]| -> Vec<(&str, u64)> {
         counts.iter().map(|&(kind, count)| (kind.name(), count)).collect()
     };
-    let help = "The backlog: tasks that a worker could begin now; of a tile that is cut each part, of which a lease may cover several.";
+    let help = "Backlog: tasks that a worker could start now. Each sample chunk of a tile counts; \
+                a lease may cover several chunks.";
     page.gauge("femc_tasks_ready", help).each("stage", by_stage(ready));
     page.gauge("femc_tasks_leased", "Leases that workers hold.").each("stage", by_stage(leased));
-    page.gauge("femc_tasks_quarantined", "Tasks that used up their attempts: `femc retry`.").counts(*quarantined);
-    let help = "Pixel samples that the frames of running jobs may still take: an upper bound.";
+    page.gauge("femc_tasks_quarantined", "Tasks that used up their attempts; `femc retry` retries them.")
+        .counts(*quarantined);
+    let help = "Upper bound of the pixel samples that frames of running jobs still need.";
     page.gauge("femc_samples_left", help).counts(*samples_left);
     let workers = workers.iter().map(|&(standing, count)| (worker_standing(standing), count));
-    page.gauge("femc_workers", "Workers that are there, by whether they get tasks.").each("state", workers);
-    page.gauge("femc_threads", "Threads of these workers that render.").counts(*threads);
-    let help = "Seconds of workers that owners have been charged for, each moment of a worker once.";
+    page.gauge("femc_workers", "Current workers, by whether they receive tasks.").each("state", workers);
+    page.gauge("femc_threads", "Render threads of these workers.").counts(*threads);
+    let help = "Seconds of workers charged to owners; each moment of a worker counts once.";
     page.counter("femc_worker_seconds_used_total", help).with(&[], *used as f64 / 1000.0);
-    let help = "Messages of workers that were refused because their lease was over.";
+    let help = "Messages of workers that were refused because their lease was no longer valid.";
     page.counter("femc_stale_messages_total", help).counts(*stale_messages);
-    let help = "Records of the log since its snapshot: what a restart reads.";
+    let help = "Records of the log since the latest snapshot; a restart reads them.";
     page.gauge("femc_log_records", help).counts(*records as u64);
 }
 
 fn put_traffic(page: &mut Page, traffic: &Traffic) {
     let Traffic { calls, latencies, requests, request_latencies, received, sent } = traffic;
-    let help = "Calls, by method and the status with which the answer began.";
+    let help = "Calls, by method and by the status at the beginning of the response.";
     let family = page.counter("femc_rpc_calls_total", help);
     calls.get().iter().fold(family, |family, ((method, code), count)| {
         family.with(&[("method", method), ("code", code)], *count as f64)
     });
-    let help = "Until the answer to a call began, in seconds.";
+    let help = "Time until the response to a call began, in seconds.";
     let family = page.histogram("femc_rpc_seconds", help);
     latencies.iter().fold(family, |family, (method, histogram)| family.with(&[("method", method)], histogram));
-    let help = "Requests over HTTP, by what they ask for and the status of the answer.";
+    let help = "HTTP requests, by operation and status of the response.";
     let family = page.counter("femc_http_requests_total", help);
     requests.get().iter().fold(family, |family, ((operation, status), count)| {
         family.with(&[("operation", operation), ("status", &status.to_string())], *count as f64)
     });
-    let help = "Until the answer to a request over HTTP began, in seconds.";
+    let help = "Time until the response to an HTTP request began, in seconds.";
     let family = page.histogram("femc_http_seconds", help);
     request_latencies.iter().fold(family, |family, (operation, it)| family.with(&[("operation", operation)], it));
-    page.counter("femc_store_received_bytes_total", "Bytes of artifacts that came in.").counts(received.get());
-    page.counter("femc_store_sent_bytes_total", "Bytes of artifacts that went out.").counts(sent.get());
+    page.counter("femc_store_received_bytes_total", "Bytes of artifacts received.").counts(received.get());
+    page.counter("femc_store_sent_bytes_total", "Bytes of artifacts sent.").counts(sent.get());
 }
 
 fn revocation(reason: RevokeReason) -> &'static str {

@@ -39,7 +39,7 @@ pub(crate) async fn listen(
         let message = match message {
             Some(Ok(message)) => message,
             Some(Err(error)) => {
-                tracing::warn!(worker = worker.0, %error, "worker makes no sense");
+                tracing::warn!(worker = worker.0, %error, "cannot read the worker's messages; its session ends");
                 break;
             }
             None => break,
@@ -60,7 +60,7 @@ async fn checked(mut message: FromWorker, store: &Store) -> SessionEvent {
     if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &message {
         for digest in digests {
             if let Err(error) = store.get(digest).await {
-                tracing::warn!(%error, "an input is lost");
+                tracing::warn!(%error, "an input is missing or damaged");
             }
         }
     }
@@ -81,9 +81,9 @@ async fn lacking(result: &TaskResult, store: &Store) -> Option<(Digest, String)>
         let Artifact { digest, bytes } = artifact;
         let message = match store.known(&artifact).await {
             Ok(Soundness::Sound(found)) if found == bytes => continue,
-            Ok(Soundness::Sound(found)) => format!("artifact {digest} has {found} bytes, not {bytes}"),
-            Ok(Soundness::Damaged) => format!("the store has damaged artifact {digest}"),
-            Ok(Soundness::Missing) => format!("artifact {digest} did not arrive, or the store has lost it"),
+            Ok(Soundness::Sound(found)) => format!("artifact {digest} has {found} bytes, expected {bytes}"),
+            Ok(Soundness::Damaged) => format!("artifact {digest} is damaged in the store"),
+            Ok(Soundness::Missing) => format!("artifact {digest} is not in the store"),
             Err(error) => error.to_string(),
         };
         return Some((digest, message));
@@ -99,6 +99,6 @@ async fn check_log(message: &mut FromWorker, store: &Store) {
     if let LogText::Stored(artifact) = log.text
         && !matches!(store.known(&artifact).await, Ok(Soundness::Sound(bytes)) if bytes == artifact.bytes)
     {
-        log.text = LogText::Inline("the log did not arrive".into());
+        log.text = LogText::Inline("the coordinator did not receive the log".into());
     }
 }

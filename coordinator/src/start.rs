@@ -64,7 +64,7 @@ impl Coordinator {
             async move {
                 if let Err(error) = store.probe().await {
                     // The store may come back. Until then, requests that need it fail.
-                    tracing::warn!(%error, "the artifact store does not answer");
+                    tracing::warn!(%error, "the artifact store does not respond");
                 }
             }
         });
@@ -178,7 +178,10 @@ impl Coordinator {
 async fn recover(config: &Config, queue: &mut AnyQueue) -> Result<(Scheduler, usize), CoordinatorError> {
     let contents = queue.load().await?;
     if contents.torn > 0 {
-        tracing::warn!(records = contents.torn, "the log's tail was torn; what it said was never acknowledged");
+        tracing::warn!(
+            records = contents.torn,
+            "the log's last records are incomplete and ignored; they were never acknowledged"
+        );
     }
     if let Some(lost) = contents.lost {
         own_up(config, lost);
@@ -205,7 +208,7 @@ async fn roster(queue: &mut AnyQueue) -> Result<Roster, CoordinatorError> {
     let read = notes.last().map(|note| Roster::decode(note)).transpose();
     Ok(read
         .unwrap_or_else(|error| {
-            tracing::warn!(%error, "the workers of before are not known");
+            tracing::warn!(%error, "cannot read the list of known workers; it starts empty");
             None
         })
         .unwrap_or_default())
@@ -214,10 +217,10 @@ async fn roster(queue: &mut AnyQueue) -> Result<Roster, CoordinatorError> {
 /// Logs which acknowledged records are given up.
 fn own_up(config: &Config, Lost { kept, known }: Lost) {
     let what = match known {
-        Some(known) => format!("the log's records {} to {known} at least are lost", kept + 1),
-        None => format!("the log ends with record {kept}, and nobody knows what followed"),
+        Some(known) => format!("the log lost its records {} to {known}, or more", kept + 1),
+        None => format!("the log ends with record {kept}; the number of lost records is unknown"),
     };
-    tracing::warn!(kept, known, "{what}; it goes on without");
+    tracing::warn!(kept, known, "{what}; continuing without them");
     if let Some(audit) = &config.audit {
         audit.note(&AuditEvent {
             who: "who started the coordinator".into(),

@@ -42,7 +42,7 @@ impl<Q: Queue> Actor<Q> {
             match self.queue.append(pending.batch).await {
                 Err(error) if error.remedy() == Remedy::Room => {
                     if !waits {
-                        tracing::error!(%error, "waits for room; nothing is lost, and nothing new is taken");
+                        tracing::error!(%error, "waiting for disk space; new requests are refused, nothing is lost");
                         self.clock.stop();
                         self.metrics.waits(Some(error.to_string()));
                         self.answer_early(&error, pending.commands);
@@ -52,7 +52,7 @@ impl<Q: Queue> Actor<Q> {
                 }
                 appended => {
                     if waits {
-                        tracing::info!("there is room again: goes on");
+                        tracing::info!("disk space is available again; work resumes");
                         self.clock.go_on();
                         self.metrics.waits(None);
                     }
@@ -67,7 +67,9 @@ impl<Q: Queue> Actor<Q> {
     fn answer_early(&mut self, error: &QueueError, commands: &[Command]) {
         for command in commands {
             let Command::Answer { request, answer: Ok(_) } = command else { continue };
-            let no = || Refusal::Unavailable { message: format!("{error}; it is done as soon as there is room") };
+            let no = || Refusal::Unavailable {
+                message: format!("{error}; the request takes effect as soon as there is space"),
+            };
             match self.pending.remove(request) {
                 Some(PendingReply::Submit(reply)) => refuse(reply, no()),
                 Some(PendingReply::Control(reply)) => refuse(reply, no()),
@@ -115,8 +117,9 @@ impl<Q: Queue> Actor<Q> {
 
     /// Refuses a call, except for [`Call::References`] where possible. The answer is lost if the caller has disconnected.
     fn turn_away(&self, call: Call, error: &QueueError, pending: &Pending<'_>) {
-        let no =
-            || Refusal::Unavailable { message: format!("{error}; nothing is lost, and it goes on when there is room") };
+        let no = || Refusal::Unavailable {
+            message: format!("{error}; nothing is lost, and work resumes as soon as there is space"),
+        };
         match call {
             Call::Submit { key, reply, .. } if self.is_known(key.as_deref()) => refuse(reply, no()),
             Call::Submit { reply, .. } => {

@@ -25,12 +25,12 @@ pub fn draw(source: Source, wanted: Wanted) -> Result<Vec<u8>, String> {
 fn drawn(source: Source, wanted: Wanted) -> Result<Vec<u8>, FilmError> {
     match (source, wanted) {
         (Source::Statistics(bytes), Wanted::Maps) => planes::of_statistics(&bytes),
-        (Source::Statistics(_), _) => Err(FilmError::Corrupt("light statistics are no picture")),
+        (Source::Statistics(_), _) => Err(FilmError::Corrupt("light statistics are not a picture")),
         (Source::Image(_) | Source::Preview(_) | Source::Parts(..), Wanted::Maps) => {
             Err(FilmError::Corrupt("only light statistics have maps"))
         }
         (Source::Preview(png), Wanted::Thumbnail { height }) => thumbnail::of_picture(&png, height),
-        (Source::Preview(_), Wanted::Pixels) => Err(FilmError::Corrupt("a preview has no radiances")),
+        (Source::Preview(_), Wanted::Pixels) => Err(FilmError::Corrupt("a preview contains no radiance values")),
         (Source::Image(bytes), Wanted::Thumbnail { height }) => {
             thumbnail::of_image(&exr::decode(Cursor::new(bytes))?.image, height)
         }

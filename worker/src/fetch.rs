@@ -175,7 +175,7 @@ mod tests {
         let of = |refusal: Refusal| failure(&CallError::Refused(refusal));
         let large = of(Refusal::ArtifactTooLarge { limit: 1 << 30 });
         assert_eq!((large.verdict(), large.cause()), (Verdict::Fatal, "too_large"));
-        let often = of(Refusal::TooLarge { what: "calls a second of worker a".into(), limit: 10 });
+        let often = of(Refusal::TooLarge { what: "calls per second from worker a".into(), limit: 10 });
         assert_eq!(often.verdict(), Verdict::Infrastructure);
         let digest = Digest::of(b"tile");
         for damaged in [Refusal::NoSuchArtifact { digest }, Refusal::DigestMismatch { digest }] {

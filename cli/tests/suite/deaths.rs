@@ -41,7 +41,10 @@ fn a_task_that_always_kills_its_worker_is_put_aside_and_the_other_frames_are_don
     place.run(&format!("watch {job} --server {url}")).exits(1);
     let answer = status(&place, &url, &job);
     assert_eq!((answer["state"].as_str(), answer["frames_done"].as_u64()), (Some("failed"), Some(1)), "{answer}");
-    assert!(answer.to_string().contains("workers died 5 times while they computed it; the last was lab"), "{answer}");
+    assert!(
+        answer.to_string().contains("workers died 5 times while computing this task; the last one was lab"),
+        "{answer}"
+    );
     // A worker without the fault completes the task after a retry, and the frames equal those of one process.
     drop(killed);
     let _healthy = worker(&place, &url, None);

@@ -139,6 +139,6 @@ fn why_tells_a_stopped_worker_and_one_without_memory_as_what_they_are() {
     farm.wait_until("it works", || tiles() > 0);
     worker.signal("STOP");
     let why = || place.run(&format!("status {tagged} --why --server {url}")).exits(0).stdout();
-    farm.wait_until("its silence is told", || why().contains("1 worker has not been heard of for"));
+    farm.wait_until("its silence is told", || why().contains("1 worker has not responded for"));
     assert!(!why().contains("rest"), "{}", why());
 }

@@ -74,7 +74,7 @@ fn a_lone_worker_on_which_every_task_fails_pauses_and_status_says_so() {
     let job = submit(&place, &url, "--spp 4 --frames 1..8");
     farm.wait_until("nine failures", || attempts(&place, &url, &job).len() >= 9);
     let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
-    assert!(why.contains("tasks kept failing on 1 worker: the next try there in"), "{why}");
+    assert!(why.contains("tasks failed repeatedly on 1 worker; the next attempt there is in"), "{why}");
     let mut all = attempts(&place, &url, &job);
     all.sort_by(|a, b| seconds(a, "began_seconds").total_cmp(&seconds(b, "began_seconds")));
     assert!(all.iter().all(|row| row["ending"] == "failed" && row["worker"] == "sick"), "{all:?}");

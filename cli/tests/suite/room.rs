@@ -67,7 +67,7 @@ fn a_coordinator_whose_log_s_disk_is_full_says_so_and_goes_on_when_there_is_room
     let ran = place.run(&format!("jobs --server {url}"));
     assert!(ran.stderr().contains("no room for the log"), "{}", ran.stderr());
     let ran = place.run(&format!("submit fog.mgf --spp 1 --frames 1 --server {url}")).exits(1);
-    assert!(ran.stderr().contains("takes no new jobs"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("accepts no new jobs"), "{}", ran.stderr());
     assert!(farm.is_running());
     disk.empty();
     farm.wait_until("room", || get(port, "/readyz").is_some_and(|(code, _)| code == 200));
@@ -98,12 +98,12 @@ fn a_disk_that_fills_up_is_told_of_by_jobs_before_new_ones_are_refused() {
     let url = farm.address();
     submit(&place, &url, "--spp 1 --frames 1");
     let ran = place.run(&format!("jobs --server {url}")).exits(0);
-    assert!(ran.stderr().contains("MiB are left for the log"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("MiB are free for the log"), "{}", ran.stderr());
     std::fs::write(at.join("ballast"), vec![1; 15 << 20]).expect("there is room");
     farm.wait_until("a refusal", || {
         let ran = place.run(&format!("submit fog.mgf --spp 1 --frames 1 --server {url}"));
-        ran.stderr().contains("takes no new jobs")
+        ran.stderr().contains("accepts no new jobs")
     });
     let ran = place.run(&format!("jobs --server {url}")).exits(0);
-    assert!(ran.stderr().contains("no new jobs are taken until"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("new jobs are refused until"), "{}", ran.stderr());
 }

@@ -81,7 +81,7 @@ fn a_frame_begun_by_one_build_waits_for_that_build() {
     assert!(first.kill(), "it was at it");
     let _second = worker(&place, &url, "second", "engine=two");
     let why = || place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
-    farm.wait_until("a reason", || why().contains("another build of the engine"));
+    farm.wait_until("a reason", || why().contains("another engine build"));
     assert_eq!(workers(&place, &url)[0]["engine"], "two");
     let _third = worker(&place, &url, "third", "engine=one");
     place.run(&format!("watch {job} --server {url}")).exits(0);

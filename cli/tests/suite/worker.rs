@@ -64,7 +64,7 @@ fn a_drained_worker_gets_nothing_and_says_so_until_that_is_undone() {
     assert_eq!(workers(&place, &url)[0]["intake"], "draining");
     let job = submit(&place, &url, "--spp 1 --frames 1");
     let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
-    assert!(why.contains("takes no more tasks"), "{why}");
+    assert!(why.contains("accepts no new tasks"), "{why}");
     let number = workers(&place, &url)[0]["worker"].to_string();
     place.run(&format!("drain {number} --undo --server {url}")).exits(0);
     place.run(&format!("watch {job} --server {url}")).exits(0);
@@ -124,7 +124,7 @@ fn a_worker_takes_tasks_within_its_hours_alone() {
     let mut off = start(2, 20);
     farm.wait_until("a worker off duty", || workers(&place, &url)[0]["intake"] == "off");
     let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
-    assert!(why.contains("takes no more tasks"), "{why}");
+    assert!(why.contains("accepts no new tasks"), "{why}");
     assert_eq!(workers(&place, &url)[0]["completed"], 0);
     let _on = start(22, 10);
     place.run(&format!("watch {job} --server {url}")).exits(0);

@@ -112,7 +112,7 @@ impl Announcer {
                     Ok(url) => poster.post(&url, &end.id, &end.body).await,
                     // The URL was permitted when the job was submitted.
                     Err(message) => {
-                        tracing::warn!(job = end.job.0, "the message about the job's end is not sent: {message}");
+                        tracing::warn!(job = end.job.0, "cannot send the message about the job's end: {message}");
                     }
                 }
             };
@@ -146,7 +146,7 @@ impl<Q: Queue> Actor<Q> {
         match end(job, ended, status) {
             Ok(end) => self.announcer.begin(end),
             Err(error) => {
-                tracing::error!(job = job.0, %error, "the job's end is not announced");
+                tracing::error!(job = job.0, %error, "cannot announce the job's end");
                 self.echoes.push_back(Event::Announced { job, ended });
             }
         }

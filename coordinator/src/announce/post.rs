@@ -59,12 +59,27 @@ impl Poster {
         loop {
             match self.send(url, id, body).await {
                 Sent::Taken => return tracing::info!(message = id, server, "notified"),
-                Sent::Gone => return tracing::warn!(message = id, server, "not notified: the address is gone (410)"),
+                Sent::Gone => {
+                    return tracing::warn!(
+                        message = id,
+                        server,
+                        "notification failed: the address no longer exists (410)"
+                    );
+                }
                 Sent::NotYet(fault) if begun.elapsed() + pause > Self::GIVE_UP => {
-                    return tracing::error!(message = id, server, "not notified for a day, given up: {fault}");
+                    return tracing::error!(
+                        message = id,
+                        server,
+                        "notification failed for a day, no more retries: {fault}"
+                    );
                 }
                 Sent::NotYet(fault) => {
-                    tracing::warn!(message = id, server, again_seconds = pause.as_secs(), "not notified: {fault}");
+                    tracing::warn!(
+                        message = id,
+                        server,
+                        again_seconds = pause.as_secs(),
+                        "notification failed, will retry: {fault}"
+                    );
                 }
             }
             tokio::time::sleep(pause).await;
@@ -96,7 +111,7 @@ impl Poster {
             Ok(Err(error)) => Sent::NotYet(chain(&error)),
             Ok(Ok(answer)) if answer.status().is_success() => Sent::Taken,
             Ok(Ok(answer)) if answer.status() == StatusCode::GONE => Sent::Gone,
-            Ok(Ok(answer)) => Sent::NotYet(format!("the answer was {}", answer.status())),
+            Ok(Ok(answer)) => Sent::NotYet(format!("the server answered {}", answer.status())),
         }
     }
 }

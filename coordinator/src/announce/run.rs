@@ -16,9 +16,9 @@ const TOLD: usize = 500;
 pub(super) async fn run(command: &str, job: &JobStatus, message: &str) {
     let number = job.job.0;
     match outcome(command, job, message).await {
-        Ok(None) => tracing::info!(job = number, "the command of --on-end has run"),
-        Ok(Some(fault)) => tracing::warn!(job = number, "the command of --on-end has failed: {fault}"),
-        Err(error) => tracing::warn!(job = number, %error, "the command of --on-end cannot be run"),
+        Ok(None) => tracing::info!(job = number, "the --on-end command succeeded"),
+        Ok(Some(fault)) => tracing::warn!(job = number, "the --on-end command failed: {fault}"),
+        Err(error) => tracing::warn!(job = number, %error, "cannot run the --on-end command"),
     }
 }
 

@@ -25,7 +25,8 @@ pub enum KeyError {
     },
     /// The key is too short, or the text after `whsec_` is not base64.
     #[error(
-        "{path}: a key has {} bytes or more, or is whsec_ and their base64; `openssl rand -base64 32` makes one",
+        "{path}: expected a key of at least {} bytes, or `whsec_` and such a key in base64; \
+         create one with `openssl rand -base64 32`",
         NotifyKey::LEAST
     )]
     Form {

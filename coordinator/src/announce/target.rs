@@ -11,7 +11,7 @@ pub struct UrlPrefix(Url);
 
 /// Error for a text that is not a [`UrlPrefix`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no beginning of URLs: {message}; write it like https://hooks.example.com/femc/")]
+#[error("`{text}` is not a valid URL prefix: {message}; write it like https://hooks.example.com/femc/")]
 pub struct PrefixError {
     text: String,
     message: String,
@@ -24,7 +24,7 @@ impl FromStr for UrlPrefix {
         let fault = |message: String| PrefixError { text: text.to_owned(), message };
         let url = parsed(text).map_err(fault)?;
         if url.query().is_some() || url.fragment().is_some() {
-            return Err(fault("a prefix ends with a path".to_owned()));
+            return Err(fault("it must not contain a query (?) or a fragment (#)".to_owned()));
         }
         Ok(Self(url))
     }
@@ -56,29 +56,29 @@ impl UrlPrefix {
 fn parsed(text: &str) -> Result<Url, String> {
     let url = Url::parse(text).map_err(|error| error.to_string())?;
     if !matches!(url.scheme(), "http" | "https") {
-        return Err(format!("it begins with {}:, not with https: or http:", url.scheme()));
+        return Err(format!("it begins with {}: instead of https: or http:", url.scheme()));
     }
     if url.host().is_none() {
-        return Err("it names no host".to_owned());
+        return Err("it has no host".to_owned());
     }
     if !url.username().is_empty() || url.password().is_some() {
-        return Err("it names a user or a password, which would be shown to others".to_owned());
+        return Err("it contains a user name or a password, which other users could read".to_owned());
     }
     Ok(url)
 }
 
 /// Parses a URL and checks that one of the prefixes permits it. Otherwise returns the reason for the refusal.
 pub(super) fn allowed(prefixes: &[UrlPrefix], text: &str) -> Result<Url, String> {
-    let url = parsed(text).map_err(|message| format!("`{text}` is no URL to notify: {message}"))?;
+    let url = parsed(text).map_err(|message| format!("cannot notify `{text}`: {message}"))?;
     if prefixes.iter().any(|prefix| prefix.allows(&url)) {
         return Ok(url);
     }
     if prefixes.is_empty() {
-        return Err("this coordinator notifies nobody: it was started without --notify-allow".to_owned());
+        return Err("this coordinator sends no notifications: it was started without --notify-allow".to_owned());
     }
     let mut servers: Vec<String> = prefixes.iter().map(UrlPrefix::server).collect();
     servers.dedup();
-    Err(format!("this coordinator does not notify `{text}`: it allows only some URLs of {}", servers.join(", ")))
+    Err(format!("this coordinator does not notify `{text}`: it allows only certain URLs of {}", servers.join(", ")))
 }
 
 #[cfg(test)]

@@ -258,7 +258,7 @@ async fn a_log_of_another_size_than_its_report_says_did_not_arrive() {
             let told = Some(TaskLog { attempt: Attempt::Done, seconds: 0.25, text });
             let report = FromWorker::Completed { task, epoch, result, log: told, usage: None };
             assert!(hand.says(epoch, report).await, "it is no reason to do the task again");
-            let lost = LogText::Inline("the log did not arrive".into());
+            let lost = LogText::Inline("the coordinator did not receive the log".into());
             expected.push((epoch, if other.is_some() { lost } else { LogText::Stored(log) }));
         }
         let mut kept = client.logs(id, Tick(0)).await.unwrap();

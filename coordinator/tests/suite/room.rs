@@ -196,7 +196,7 @@ async fn a_command_that_meets_the_full_log_hears_why_at_once_and_is_done_when_th
         panic!("another refusal")
     };
     assert!(
-        message.contains("no room for the log in the test") && message.contains("as soon as there is room"),
+        message.contains("no room for the log in the test") && message.contains("as soon as there is space"),
         "{message}"
     );
     log.refuses(2).await;

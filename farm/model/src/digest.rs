@@ -63,7 +63,7 @@ impl FromStr for Digest {
 
 /// Error for input that is not 32 bytes or not 64 hexadecimal digits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("a digest is 32 bytes, 64 hexadecimal digits")]
+#[error("expected a digest of 64 hexadecimal digits (32 bytes)")]
 pub struct ParseDigestError;
 
 #[cfg(test)]

@@ -55,7 +55,7 @@ pub enum Failure {
     #[error("cancelled")]
     Cancelled,
     /// Workers died while they computed the task.
-    #[error("workers died {deaths} times while they computed it; the last was {worker}")]
+    #[error("workers died {deaths} times while computing this task; the last one was {worker}")]
     Killed {
         /// Number of workers that died while they computed the task.
         deaths: u32,
@@ -63,7 +63,7 @@ pub enum Failure {
         worker: String,
     },
     /// The result, or an input, exceeds the size limit of the artifact store. It would do so on every worker.
-    #[error("an artifact of more than {limit} bytes, which is the most that the farm's store takes")]
+    #[error("an artifact exceeds {limit} bytes, the size limit of the farm's store")]
     TooLarge {
         /// Limit in bytes.
         limit: u64,

@@ -391,7 +391,7 @@ impl Graph {
         self.check_last_or_every()?;
         for scope in Scope::ALL {
             if self.of(scope).filter(|(_, template)| template.closes.is_some()).count() > 1 {
-                return Err(GraphError::Loop { stage: 0, why: "a scope has one loop at most" });
+                return Err(GraphError::Loop { stage: 0, why: "a scope can have only one loop" });
             }
         }
         Ok(())
@@ -400,15 +400,15 @@ impl Graph {
     fn check_stage(&self, stage: u16, template: &Template) -> Result<(), GraphError> {
         let Template { kind, sizes, steps, needs, hints, makes, options, tags, .. } = template;
         let limits = [
-            ("tasks of a stage", u64::from(sizes.tasks()), u64::from(Self::MAX_TASKS)),
-            ("needs of a stage", needs.len() as u64, Self::MAX_NEEDS as u64),
-            ("hints of a stage", hints.len() as u64, Self::MAX_NEEDS as u64),
-            ("sizes of a stage", sizes.runs().len() as u64, Self::MAX_RUNS as u64),
+            ("tasks in a stage", u64::from(sizes.tasks()), u64::from(Self::MAX_TASKS)),
+            ("needs in a stage", needs.len() as u64, Self::MAX_NEEDS as u64),
+            ("hints in a stage", hints.len() as u64, Self::MAX_NEEDS as u64),
+            ("different sizes in a stage", sizes.runs().len() as u64, Self::MAX_RUNS as u64),
             ("rounds", steps.len() as u64, u64::from(Self::MAX_ROUNDS)),
-            ("bytes of a stage's options", options.len() as u64, Self::MAX_OPTIONS as u64),
-            ("tags of a stage", tags.len() as u64, JobSpec::MAX_TAGS as u64),
+            ("bytes in the options of a stage", options.len() as u64, Self::MAX_OPTIONS as u64),
+            ("tags in a stage", tags.len() as u64, JobSpec::MAX_TAGS as u64),
             (
-                "bytes of a stage's tag",
+                "bytes in a tag of a stage",
                 tags.iter().map(String::len).max().unwrap_or(0) as u64,
                 JobSpec::MAX_NAME as u64,
             ),
@@ -439,18 +439,20 @@ impl Graph {
 
     fn check_hint(&self, stage: u16, template: &Template, hint: &Hint) -> Result<(), GraphError> {
         let fault = |why| Err(GraphError::Hint { stage, why });
-        let Some(made) = self.stage(hint.stage) else { return fault("there is no such stage") };
+        let Some(made) = self.stage(hint.stage) else { return fault("the job does not have the stage that it reads") };
         if (template.scope, made.scope) != (Scope::Frame, Scope::Frame) {
-            return fault("a stage of frames looks at one of frames");
+            return fault("only stages of frames can have hints, and they read stages of frames");
         }
         if !made.makes.contains(&hint.role) {
-            return fault("nobody makes such an output");
+            return fault("the stage that it reads does not make this output");
         }
         match hint.reach {
-            Reach::Fan(0) => fault("a fan of none"),
-            Reach::Previous => fault("a chain of hints"),
-            Reach::Same if made.tasks() != template.tasks() => fault("one to one of different numbers"),
-            Reach::Fan(n) if made.tasks().div_ceil(n) != template.tasks() => fault("a fan that does not fit"),
+            Reach::Fan(0) => fault("a fan must be at least 1"),
+            Reach::Previous => fault("a hint cannot be a chain"),
+            Reach::Same if made.tasks() != template.tasks() => fault("one-to-one reading needs equal numbers of tasks"),
+            Reach::Fan(n) if made.tasks().div_ceil(n) != template.tasks() => {
+                fault("the number of tasks does not match the fan")
+            }
             Reach::All | Reach::Same | Reach::Fan(_) => Ok(()),
         }
     }
@@ -459,13 +461,13 @@ impl Graph {
         let Some(Loop { first, rounds }) = template.closes else { return Ok(()) };
         let fault = |why| Err(GraphError::Loop { stage, why });
         if rounds == 0 || rounds > Self::MAX_ROUNDS {
-            return fault("a loop has from 1 to 64 rounds");
+            return fault("a loop must have 1 to 64 rounds");
         }
         if first > stage || template.tasks() != 1 || template.kind.is_cut() {
-            return fault("a loop is closed by a stage of one task that is not cut, behind the others");
+            return fault("the stage that closes a loop must be its last stage and have one task without chunks");
         }
         if self.iter().any(|(other, inner)| (first..=stage).contains(&other) && inner.scope != template.scope) {
-            return fault("the stages of a loop are of one scope");
+            return fault("all stages of a loop must have the same scope");
         }
         Ok(())
     }
@@ -481,7 +483,7 @@ impl Graph {
                 let mut others = self.readers(made).filter(|reader| beyond(made, reader));
                 if others.any(|(_, other)| other.role == need.role && other.round != need.round) {
                     let why =
-                        "of one output of a loop, stages of another scope read the last round or every round, not both";
+                        "readers in another scope must all read the last round of a loop's output, or all every round";
                     return Err(GraphError::Need { stage, why });
                 }
             }
@@ -491,35 +493,37 @@ impl Graph {
 
     fn check_need(&self, stage: u16, template: &Template, need: &Need) -> Result<(), GraphError> {
         let fault = |why| Err(GraphError::Need { stage, why });
-        let Some(made) = self.stage(need.stage) else { return fault("it needs a stage that there is not") };
+        let Some(made) = self.stage(need.stage) else { return fault("it needs a stage that does not exist") };
         let same_loop = template.scope == made.scope && self.is_looped(stage) && self.is_looped(need.stage);
         let is_before = need.round == Round::Before;
         if !made.makes.contains(&need.role) {
-            return fault("it needs an output that nobody makes");
+            return fault("it needs an output that the stage does not make");
         }
         let is_chain = need.reach == Reach::Previous && need.stage == stage;
         if (need.stage >= stage && !is_before && !is_chain) || (is_before && !same_loop) {
-            return fault("it needs a stage that comes later");
+            return fault("it needs a later stage");
         }
         if !template.scope.may_read(made.scope) {
-            return fault("it needs what is done for more, or for other, than itself");
+            return fault("it needs a stage of a scope that its own scope cannot read");
         }
         if need.round == Round::Every && same_loop {
-            return fault("it needs rounds that are yet to come");
+            return fault("it needs future rounds of its own loop");
         }
         let of_frames = (template.scope, made.scope) == (Scope::Job, Scope::Frame);
         let tasks = if of_frames { None } else { Some(made.tasks()) };
         match (need.reach, tasks) {
-            (Reach::Fan(0), _) => fault("a fan of none"),
+            (Reach::Fan(0), _) => fault("a fan must be at least 1"),
             (Reach::Same | Reach::Previous, Some(tasks)) if tasks != template.tasks() => {
-                fault("one to one of different numbers")
+                fault("one-to-one reading needs equal numbers of tasks")
             }
             (Reach::Previous, _) if need.round == Round::Before || template.kind.is_cut() || self.is_looped(stage) => {
-                fault("a chain in a loop, or of tasks that are cut")
+                fault("a chain cannot be in a loop, and its tasks cannot have chunks")
             }
-            (Reach::Previous, None) => fault("a chain over frames"),
-            (Reach::Fan(n), Some(tasks)) if tasks.div_ceil(n) != template.tasks() => fault("a fan that does not fit"),
-            (Reach::Same, None) => fault("one to one over frames"),
+            (Reach::Previous, None) => fault("a chain cannot read several frames"),
+            (Reach::Fan(n), Some(tasks)) if tasks.div_ceil(n) != template.tasks() => {
+                fault("the number of tasks does not match the fan")
+            }
+            (Reach::Same, None) => fault("one-to-one reading cannot read several frames"),
             _ => Ok(()),
         }
     }
@@ -546,7 +550,7 @@ impl Graph {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GraphError {
     /// A quantity exceeds its limit.
-    #[error("{what}: at most {limit}")]
+    #[error("too many {what}: at most {limit}")]
     TooMany {
         /// Quantity that exceeds its limit.
         what: &'static str,
@@ -564,19 +568,19 @@ pub enum GraphError {
     },
     /// The steps are missing where tasks are divided into chunks (or given where they are not), not ascending, or not one per
     /// round.
-    #[error("the steps of stage {stage} must ascend from 1, one number for each round")]
+    #[error("the steps of stage {stage} must be ascending numbers from 1, one for each round")]
     Steps {
         /// Number of the stage in the graph.
         stage: u16,
     },
     /// A role occurs twice.
-    #[error("stage {stage} makes two outputs of one role")]
+    #[error("stage {stage} makes two outputs with the same role")]
     Makes {
         /// Number of the stage in the graph.
         stage: u16,
     },
     /// A text contains control characters. Texts are shown on terminals and must not control them.
-    #[error("control characters in the options or tags of stage {stage}")]
+    #[error("the options or tags of stage {stage} contain control characters")]
     Control {
         /// Number of the stage in the graph.
         stage: u16,
@@ -590,7 +594,7 @@ pub enum GraphError {
         why: &'static str,
     },
     /// The hint can never be available.
-    #[error("stage {stage} cannot look at the frame before: {why}")]
+    #[error("stage {stage} has an invalid hint about the previous frame: {why}")]
     Hint {
         /// Number of the stage in the graph.
         stage: u16,
@@ -598,7 +602,7 @@ pub enum GraphError {
         why: &'static str,
     },
     /// The number of tasks of a stage of the job does not match the tasks of frames that it reads.
-    #[error("stage {stage} has {found} tasks; {wanted} are needed to read the frames' {read} tasks, {fan} each")]
+    #[error("stage {stage} has {found} tasks, but needs {wanted} to read {read} tasks of frames, {fan} per task")]
     Fan {
         /// Number of the stage in the graph.
         stage: u16,
@@ -659,33 +663,42 @@ mod tests {
         assert_eq!(with(|all| all[0].steps = vec![4, 4]), Err(GraphError::Steps { stage: 0 }));
         assert_eq!(with(|all| all[0].steps = vec![4]), Err(GraphError::Steps { stage: 0 }));
         assert_eq!(with(|all| all[1].steps = vec![4, 8]), Err(GraphError::Steps { stage: 1 }));
-        assert_eq!(with(|all| all[1].needs[0].stage = 9), need("it needs a stage that there is not"));
-        assert_eq!(with(|all| all[1].needs[0].role = Role::Image), need("it needs an output that nobody makes"));
-        assert_eq!(with(|all| all[1].needs[1].round = Round::Same), need("it needs a stage that comes later"));
-        assert_eq!(with(|all| all[1].needs[0].reach = Reach::Fan(0)), need("a fan of none"));
-        assert_eq!(with(|all| all[1].needs[0].reach = Reach::Fan(2)), need("a fan that does not fit"));
-        assert_eq!(with(|all| all[1].needs[0].reach = Reach::Same), need("one to one of different numbers"));
+        assert_eq!(with(|all| all[1].needs[0].stage = 9), need("it needs a stage that does not exist"));
+        assert_eq!(
+            with(|all| all[1].needs[0].role = Role::Image),
+            need("it needs an output that the stage does not make")
+        );
+        assert_eq!(with(|all| all[1].needs[1].round = Round::Same), need("it needs a later stage"));
+        assert_eq!(with(|all| all[1].needs[0].reach = Reach::Fan(0)), need("a fan must be at least 1"));
+        assert_eq!(
+            with(|all| all[1].needs[0].reach = Reach::Fan(2)),
+            need("the number of tasks does not match the fan")
+        );
+        assert_eq!(
+            with(|all| all[1].needs[0].reach = Reach::Same),
+            need("one-to-one reading needs equal numbers of tasks")
+        );
         assert_eq!(with(|all| all[1].makes.push(Role::Sums)), Err(GraphError::Makes { stage: 1 }));
         let look = |stage, role, reach| with(|all| all[1].hints = vec![Hint { stage, role, reach }]);
         let hint = |why| Err(GraphError::Hint { stage: 1, why });
         assert_eq!(look(2, Role::Image, Reach::All), Ok(()), "what comes later is there in the frame before");
         assert_eq!(look(1, Role::Sums, Reach::Same), Ok(()));
-        assert_eq!(look(3, Role::Image, Reach::All), hint("there is no such stage"));
-        assert_eq!(look(0, Role::Image, Reach::All), hint("nobody makes such an output"));
-        assert_eq!(look(0, Role::Tile, Reach::Same), hint("one to one of different numbers"));
-        assert_eq!(look(0, Role::Tile, Reach::Fan(3)), hint("a fan that does not fit"));
-        assert_eq!(look(0, Role::Tile, Reach::Fan(0)), hint("a fan of none"));
+        assert_eq!(look(3, Role::Image, Reach::All), hint("the job does not have the stage that it reads"));
+        assert_eq!(look(0, Role::Image, Reach::All), hint("the stage that it reads does not make this output"));
+        assert_eq!(look(0, Role::Tile, Reach::Same), hint("one-to-one reading needs equal numbers of tasks"));
+        assert_eq!(look(0, Role::Tile, Reach::Fan(3)), hint("the number of tasks does not match the fan"));
+        assert_eq!(look(0, Role::Tile, Reach::Fan(0)), hint("a fan must be at least 1"));
         let of_job = |all: &mut Vec<Template>| {
             let own = Template::new(StageKind::Image, Scope::Job, Sizes::even(1, 1), &[]);
             all.push(own.looks_at(2, Role::Image, Reach::All));
         };
         assert!(matches!(with(of_job), Err(GraphError::Hint { stage: 3, .. })));
         let long = |all: &mut Vec<Template>| all[1].options = "x".repeat(Graph::MAX_OPTIONS + 1);
-        assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes of a stage's options", .. })));
+        assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes in the options of a stage", .. })));
         let many = |all: &mut Vec<Template>| all[1].tags = vec!["lab".into(); 65];
-        assert!(matches!(with(many), Err(GraphError::TooMany { what: "tags of a stage", limit: 64 })));
+        assert!(matches!(with(many), Err(GraphError::TooMany { what: "tags in a stage", limit: 64 })));
         let long = |all: &mut Vec<Template>| all[1].tags = vec!["x".repeat(JobSpec::MAX_NAME + 1)];
-        assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes of a stage's tag", .. })));
+        assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes in a tag of a stage", .. })));
         assert_eq!(with(|all| all[1].tags = vec!["a\u{1b}".into()]), Err(GraphError::Control { stage: 1 }));
         assert_eq!(with(|all| all[1].options = "a\n".into()), Err(GraphError::Control { stage: 1 }));
         assert!(matches!(with(|all| all[2].sizes = Sizes::even(2, 1)), Err(GraphError::Loop { stage: 2, .. })));
@@ -706,9 +719,9 @@ mod tests {
         };
         let need = |why| Err(GraphError::Need { stage: 2, why });
         assert_eq!((read(Reach::Fan(2)), read(Reach::All)), (Ok(()), Ok(())));
-        assert_eq!(read(Reach::Fan(0)), need("a fan of none"));
-        assert_eq!(read(Reach::Fan(6)), need("a fan that does not fit"));
-        assert_eq!(read(Reach::Same), need("one to one of different numbers"));
+        assert_eq!(read(Reach::Fan(0)), need("a fan must be at least 1"));
+        assert_eq!(read(Reach::Fan(6)), need("the number of tasks does not match the fan"));
+        assert_eq!(read(Reach::Same), need("one-to-one reading needs equal numbers of tasks"));
     }
 
     #[test]

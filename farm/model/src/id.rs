@@ -33,7 +33,7 @@ impl fmt::Display for JobId {
 
 /// Error for a text that is not a [`JobId`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("a job is named by its number, like 7, or, if jobs share it, like shared-3")]
+#[error("expected the number of a job, such as 7, or the name of a shared result, such as shared-3")]
 pub struct NoJobId;
 
 /// Parses the printed form.

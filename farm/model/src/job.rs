@@ -169,7 +169,7 @@ fn numbers(values: &[u32]) -> Vec<u8> {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SpecError {
     /// A side is 0 or too long, or the tile's side is 0.
-    #[error("film of {width} x {height} pixels in tiles of {tile}")]
+    #[error("invalid film: {width} x {height} pixels in tiles of {tile}")]
     Film {
         /// Size in pixels.
         width: u32,
@@ -179,7 +179,7 @@ pub enum SpecError {
         tile: u32,
     },
     /// There are too many tiles.
-    #[error("{tiles} tiles a frame, at most {limit}")]
+    #[error("a frame has {tiles} tiles, at most {limit} are possible")]
     Tiles {
         /// Number of tiles of a frame.
         tiles: u64,
@@ -187,13 +187,16 @@ pub enum SpecError {
         limit: u32,
     },
     /// The frame numbers are empty, too many, or not ascending from 1.
-    #[error("{frames} frames: at least 1, at most {}, ascending from number 1", JobSpec::MAX_FRAMES)]
+    #[error(
+        "invalid frame numbers: {frames} frames; a job needs 1 to {} frames with ascending numbers from 1",
+        JobSpec::MAX_FRAMES
+    )]
     Frames {
         /// Number of frames in the specification.
         frames: usize,
     },
     /// The keys of shared contents are too few, too many, or out of order.
-    #[error("the contents of {named} frames are named in order, {wanted} should be")]
+    #[error("{named} frames have content keys in ascending order, expected {wanted}")]
     Contents {
         /// Number of frames with a key.
         named: usize,
@@ -204,16 +207,19 @@ pub enum SpecError {
     #[error(transparent)]
     Graph(#[from] GraphError),
     /// The priority is above 100.
-    #[error("priority {priority}, at most 100")]
+    #[error("the priority is {priority}, at most 100 is possible")]
     Priority {
         /// Priority from the specification.
         priority: u8,
     },
     /// The name of the job cannot be a file name. Files of the job's frames are named after it.
-    #[error("the name of a job is the name of its files: it is not empty, and has no /, \\, : or control characters")]
+    #[error(
+        "invalid job name: files are named after the job, so its name must not be empty, `.` or `..`, \
+             or contain /, \\, : or control characters"
+    )]
     Name,
     /// A text contains control characters. Texts are shown on terminals and must not control them.
-    #[error("control characters in a path, an owner or a tag")]
+    #[error("a path, an owner or a tag contains control characters")]
     Control,
     /// A comment, a label or an address is not valid.
     #[error(transparent)]

@@ -46,7 +46,7 @@ pub enum ManifestError {
     #[error("not a manifest")]
     Magic,
     /// Another version of the format wrote it.
-    #[error("manifest version {found}, this program reads {VERSION}")]
+    #[error("the manifest has version {found}, but this program reads version {VERSION}")]
     Version {
         /// Version found.
         found: u32,
@@ -55,25 +55,25 @@ pub enum ManifestError {
     #[error("the manifest is damaged")]
     Damaged,
     /// A path could lead out of the scene's folder, or systems would interpret it differently.
-    #[error("the manifest has the bad path {path:?}")]
+    #[error("the manifest contains the invalid path {path:?}")]
     Path {
         /// Path from the manifest.
         path: String,
     },
     /// A path occurs twice or is out of order.
-    #[error("the manifest has {path:?} twice or out of order")]
+    #[error("the manifest lists {path:?} twice or out of order")]
     Order {
         /// Path from the manifest.
         path: String,
     },
     /// A file extends past the end of its piece.
-    #[error("{path:?} lies beyond its piece")]
+    #[error("the manifest is damaged: {path:?} extends past the end of its piece")]
     Extent {
         /// Path of the file.
         path: String,
     },
     /// A quantity exceeds its limit.
-    #[error("{what}: at most {limit}")]
+    #[error("too many {what}: at most {limit}")]
     TooLarge {
         /// Quantity that exceeds its limit.
         what: &'static str,
@@ -116,13 +116,13 @@ impl Manifest {
             out.extend(offset.to_le_bytes());
             out.extend(bytes.to_le_bytes());
         }
-        limit("bytes of a manifest", out.len() as u64, Self::MOST)?;
+        limit("bytes in a manifest", out.len() as u64, Self::MOST)?;
         Ok(out)
     }
 
     /// Decodes and checks a manifest.
     pub fn decode(bytes: &[u8]) -> Result<Self, ManifestError> {
-        limit("bytes of a manifest", bytes.len() as u64, Self::MOST)?;
+        limit("bytes in a manifest", bytes.len() as u64, Self::MOST)?;
         let mut rest = bytes;
         if take::<8>(&mut rest) != Ok(*MAGIC) {
             return Err(ManifestError::Magic);
@@ -157,12 +157,12 @@ impl Manifest {
     }
 
     fn check(&self) -> Result<(), ManifestError> {
-        limit("pieces of a scene", self.pieces.len() as u64, Self::MOST_PIECES.into())?;
+        limit("pieces in a scene", self.pieces.len() as u64, Self::MOST_PIECES.into())?;
         let unpacked = self.pieces.iter().fold(0u64, |sum, piece| sum.saturating_add(piece.unpacked));
-        limit("unpacked bytes of a scene", unpacked, Self::MOST_UNPACKED)?;
+        limit("unpacked bytes in a scene", unpacked, Self::MOST_UNPACKED)?;
         // Files may share bytes. The limit prevents that a small scene unpacks to a huge one.
         let bytes = self.files.values().fold(0u64, |sum, extent| sum.saturating_add(extent.bytes));
-        limit("bytes of a scene's files", bytes, Self::MOST_UNPACKED)?;
+        limit("bytes in the files of a scene", bytes, Self::MOST_UNPACKED)?;
         for (path, extent) in &self.files {
             if !is_normal(path) {
                 return Err(ManifestError::Path { path: path.clone() });
@@ -282,12 +282,12 @@ mod tests {
             assert_eq!(manifest.encode(), Err(ManifestError::Extent { path: "a".into() }), "{extent:?}");
         }
         let huge = Manifest { pieces: vec![piece(b"a", u64::MAX), piece(b"b", u64::MAX)], ..Manifest::default() };
-        assert!(matches!(huge.encode(), Err(ManifestError::TooLarge { what: "unpacked bytes of a scene", .. })));
+        assert!(matches!(huge.encode(), Err(ManifestError::TooLarge { what: "unpacked bytes in a scene", .. })));
         let half = Extent { piece: 0, offset: 0, bytes: Manifest::MOST_UNPACKED / 2 + 1 };
         let pieces = vec![piece(b"a", half.bytes)];
         let bomb = Manifest { pieces, files: BTreeMap::from([("a".into(), half), ("b".into(), half)]) };
-        assert!(matches!(bomb.encode(), Err(ManifestError::TooLarge { what: "bytes of a scene's files", .. })));
+        assert!(matches!(bomb.encode(), Err(ManifestError::TooLarge { what: "bytes in the files of a scene", .. })));
         let many = Manifest { pieces: vec![piece(b"a", 0); (1 << 16) + 1], ..Manifest::default() };
-        assert!(matches!(many.encode(), Err(ManifestError::TooLarge { what: "pieces of a scene", .. })));
+        assert!(matches!(many.encode(), Err(ManifestError::TooLarge { what: "pieces in a scene", .. })));
     }
 }

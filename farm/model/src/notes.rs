@@ -75,19 +75,19 @@ pub enum NotesError {
         limit: usize,
     },
     /// A text contains control characters, which could control a terminal.
-    #[error("the {what} contains control characters, such as line ends: it is one line of text")]
+    #[error("the {what} contains control characters, such as line breaks; write it as one line of text")]
     Control {
         /// Name of the text.
         what: &'static str,
     },
     /// There are too many labels.
-    #[error("{labels} labels, at most {}", JobNotes::MAX_LABELS)]
+    #[error("the job has {labels} labels, at most {} are possible", JobNotes::MAX_LABELS)]
     Labels {
         /// Number of labels.
         labels: usize,
     },
     /// A label's name cannot be separated from its value.
-    #[error("`{name}` cannot be the name of a label: it is not empty and contains no `=`")]
+    #[error("invalid label name `{name}`: it must not be empty or contain `=`")]
     LabelName {
         /// Name of the label.
         name: String,

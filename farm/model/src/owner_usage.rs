@@ -38,7 +38,7 @@ impl fmt::Display for Month {
 
 /// Error for a text that is not a month.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` names no month; write YYYY-MM, like 2026-11")]
+#[error("`{0}` is not a month; write YYYY-MM, such as 2026-11")]
 pub struct NoMonth(pub String);
 
 impl FromStr for Month {

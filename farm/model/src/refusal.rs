@@ -34,7 +34,7 @@ pub enum Refusal {
         message: String,
     },
     /// The message is about a lease that is over.
-    #[error("the lease is over: another epoch holds the task, or it is finished")]
+    #[error("the lease is no longer valid: the task is finished, or a lease with another epoch holds it")]
     StaleEpoch,
     /// The artifact does not exist.
     #[error("there is no artifact {digest}")]
@@ -43,13 +43,13 @@ pub enum Refusal {
         digest: Digest,
     },
     /// The bytes do not have the announced digest.
-    #[error("the bytes are not those of {digest}")]
+    #[error("the received bytes do not have the digest {digest}")]
     DigestMismatch {
         /// Announced digest.
         digest: Digest,
     },
     /// A quantity exceeds its limit.
-    #[error("{what}: at most {limit}")]
+    #[error("too many {what}: at most {limit}")]
     TooLarge {
         /// Quantity that exceeds its limit.
         what: String,
@@ -57,14 +57,14 @@ pub enum Refusal {
         limit: u64,
     },
     /// The artifact is larger than the store accepts, from any sender at any time.
-    #[error("an artifact of more than {limit} bytes: the store takes no more")]
+    #[error("the artifact exceeds {limit} bytes, the size limit of the store")]
     ArtifactTooLarge {
         /// Limit in bytes.
         limit: u64,
     },
     /// The job needs artifacts that are not in the store.
     #[error(
-        "the store lacks {count} of the artifacts that the job needs, as {}; upload them and submit again",
+        "{count} artifacts of the job are not in the store, for example {}; upload them and submit again",
         digests.first().map_or_else(String::new, ToString::to_string)
     )]
     MissingArtifacts {
@@ -74,13 +74,13 @@ pub enum Refusal {
         count: u64,
     },
     /// The upload continues at another offset than the sender expects.
-    #[error("the upload goes on at byte {offset}")]
+    #[error("the upload must resume at byte {offset}")]
     Resume {
         /// Next byte that the store expects.
         offset: u64,
     },
     /// The caller lacks the permission.
-    #[error("{who} may not do this: it takes {takes}")]
+    #[error("permission denied for {who}: this requires {takes}")]
     Forbidden {
         /// Holder of the credential in the request.
         who: String,
@@ -88,13 +88,17 @@ pub enum Refusal {
         takes: String,
     },
     /// The coordinator is stopping, or its log or store does not respond. Retry later.
-    #[error("not now: {message}")]
+    #[error("temporarily unavailable: {message}")]
     Unavailable {
         /// Reason why the coordinator cannot answer now.
         message: String,
     },
     /// A disk of the farm is full or nearly full.
-    #[error("the farm takes no new jobs: it has {} MiB left for {place}; make room there (`femc gc`), and submit again", free >> 20)]
+    #[error(
+        "the farm accepts no new jobs: only {} MiB are free for {place}; \
+         free disk space there (`femc gc`) and submit again",
+        free >> 20
+    )]
     NoRoom {
         /// Data on the disk, and its path.
         place: String,
@@ -102,7 +106,7 @@ pub enum Refusal {
         free: u64,
     },
     /// The caller is not authenticated.
-    #[error("you are not known here: {message}")]
+    #[error("authentication failed: {message}")]
     Unauthenticated {
         /// Fault of the credential.
         message: String,

@@ -49,9 +49,7 @@ impl fmt::Display for TaskKey {
 
 /// Error for a text that is not the name of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "a task is named by job, frame and round, kind and number of its stage, and its number there, like 7/12.0/render.0/3"
-)]
+#[error("expected the name of a task: job/frame.round/stage.number/task, such as 7/12.0/render.0/3")]
 pub struct NoTaskKey;
 
 /// Parses the printed form.

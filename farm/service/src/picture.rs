@@ -88,7 +88,7 @@ impl Pictures {
         known: Option<&str>,
     ) -> Result<Option<Drawn>, Refusal> {
         let draw =
-            self.draw.ok_or_else(|| Refusal::Unavailable { message: "this program draws no pictures".into() })?;
+            self.draw.ok_or_else(|| Refusal::Unavailable { message: "this program cannot draw pictures".into() })?;
         let finished = farm.ask(|reply| Call::Frames { job, reply }).await?;
         let of_frame = finished.into_iter().find(|record| record.frame == frame);
         let (tag, outputs, parts) = match &of_frame {

@@ -59,7 +59,7 @@ impl<S> Farm<S> {
     pub async fn lost(&self, digest: Digest) {
         if let Err(refusal) = self.ask(|reply| Call::Lost { digest, reply }).await {
             // The next reader of the artifact will report it again.
-            tracing::warn!(%digest, %refusal, "an artifact is lost, and its job does not know");
+            tracing::warn!(%digest, %refusal, "an artifact is lost, but the job did not receive the report");
         }
     }
 }

@@ -138,7 +138,7 @@ export async function files({ step, open, claim, equal, farm, page, visit, acces
     // The view of the picture would find the damage itself.
     await visit(`/jobs/${job}?frames=1`);
     await link(page(), 'Files of frame 1', /^EXR/).click();
-    await page().getByText(`image.exr of frame 1 of job ${job} was damaged`).waitFor();
+    await page().getByText(`image.exr of frame 1 of job ${job} is damaged`).waitFor();
     await until(async () => (await image()) !== undefined && farm.job(job).state === 'done', 'it is rendered again', 120);
     await link(page(), 'Files of frame 1', /^EXR/).waitFor();
     const { name, bytes } = await saved(page(), () => link(page(), 'Files of frame 1', /^EXR/).click());

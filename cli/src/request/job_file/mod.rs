@@ -331,7 +331,7 @@ mod tests {
             ("priority = 101", "0 to 100"),
             ("name = \"a/b\"", "named by it"),
             ("comment = \"a\\nb\"", "one line"),
-            ("labels = { \"\" = \"x\" }", "name of a label"),
+            ("labels = { \"\" = \"x\" }", "label name"),
             ("threads = 0", "threads is at least 1"),
             ("frames = \"5..1\"", "comes before"),
             ("size = \"4\"", "320x180"),

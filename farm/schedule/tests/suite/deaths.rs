@@ -51,7 +51,7 @@ fn a_task_that_kills_its_worker_is_put_aside_after_five_deaths_and_the_job_goes_
     let status = farm.status(id);
     let failure = Failure::Killed { deaths: 5, worker: "w".into() };
     assert_eq!(status.quarantined, [Quarantined { task: deadly.task, attempts: 5, failure: failure.clone() }]);
-    assert_eq!(failure.to_string(), "workers died 5 times while they computed it; the last was w");
+    assert_eq!(failure.to_string(), "workers died 5 times while computing this task; the last one was w");
     while farm.state(id) == JobState::Running {
         farm.work(50, Done);
     }

@@ -187,10 +187,10 @@ fn a_store_that_keeps_failing_is_the_reason_that_a_task_waits() {
             task: held.task,
             epoch: held.epoch,
             artifact: Digest::of(b"tile"),
-            message: "the store has damaged artifact 12ab".into(),
+            message: "artifact 12ab is damaged in the store".into(),
         });
         let (_, text) = message(&farm).expect("it says why");
-        assert!(text.contains("damaged artifact 12ab"), "{text}");
+        assert!(text.contains("artifact 12ab is damaged"), "{text}");
         for _ in 0..60 {
             farm.wait(2_000);
             farm.heartbeat(1, Phase::Working, attempt);

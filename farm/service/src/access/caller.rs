@@ -47,14 +47,14 @@ impl Lists {
     pub(super) fn caller(&self, shown: Shown<'_>) -> Result<Caller, String> {
         let caller = |(holder, credential)| Caller { holder, credential, lists: self.clone() };
         if let Some(token) = shown.token {
-            let tokens = self.tokens.as_ref().ok_or("this coordinator takes no tokens")?;
+            let tokens = self.tokens.as_ref().ok_or("this coordinator does not accept tokens")?;
             let (holder, digest) = tokens.holder(token).map_err(|error| error.to_string())?;
             return Ok(caller((holder, Credential::Token(digest))));
         }
         let Some(own) = shown.certificate else {
             return Err(match &self.tokens {
-                Some(_) => "neither a certificate nor a token was shown".into(),
-                None => "no certificate was shown".into(),
+                Some(_) => "the client sent neither a certificate nor a token".into(),
+                None => "the client sent no certificate".into(),
             });
         };
         let holder = holder_of(own).map_err(|error| error.to_string())?;
@@ -84,7 +84,7 @@ impl Caller {
 
     /// Returns the refusal for a revoked credential.
     pub fn revoked(&self) -> Refusal {
-        self.forbidden("an identity that was not revoked")
+        self.forbidden("an identity that is not revoked")
     }
 
     /// Returns the refusal for an operation that needs the right `takes`.

@@ -120,7 +120,8 @@ impl Gate {
     /// Returns the caller that this token would authenticate.
     pub fn holder(&self, token: &str) -> Result<Caller, Refusal> {
         let unknown = |message: String| Refusal::Unauthenticated { message };
-        let lists = self.lists.as_ref().ok_or_else(|| unknown("this coordinator asks nobody who he is".into()))?;
+        let lists =
+            self.lists.as_ref().ok_or_else(|| unknown("this coordinator does not authenticate clients".into()))?;
         lists.caller(Shown { token: Some(token), ..Shown::default() }).map_err(unknown)
     }
 
@@ -134,7 +135,7 @@ impl Gate {
     fn turn(&self, name: Option<&str>) -> Result<Duration, Refusal> {
         let Some(name) = name else { return Ok(Duration::ZERO) };
         let too_many =
-            || Refusal::TooLarge { what: format!("calls a second of {name}"), limit: self.limits.rate.into() };
+            || Refusal::TooLarge { what: format!("calls per second from {name}"), limit: self.limits.rate.into() };
         self.rates.turn(name, Instant::now()).ok_or_else(too_many)
     }
 }

@@ -98,9 +98,9 @@ impl<S: Send + 'static> Http<S> {
             (Action::Retry, None, None) => Control::Retry,
             (Action::Retry, None, Some(frames)) => Control::RetryFrames(frames),
             (Action::Priority, Some(priority), None) if priority <= 100 => Control::Priority(priority),
-            (_, _, Some(_)) => return Err(invalid("frames", "they go with the action `retry` alone")),
-            (Action::Priority, _, None) => return Err(invalid("priority", "a whole number from 0 to 100 is wanted")),
-            (_, Some(_), None) => return Err(invalid("priority", "it goes with the action `priority` alone")),
+            (_, _, Some(_)) => return Err(invalid("frames", "allowed only with the action `retry`")),
+            (Action::Priority, _, None) => return Err(invalid("priority", "expected a whole number from 0 to 100")),
+            (_, Some(_), None) => return Err(invalid("priority", "allowed only with the action `priority`")),
         };
         let mut changed = Changed { done: Vec::new(), refused: Vec::new() };
         for job in jobs {

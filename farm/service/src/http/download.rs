@@ -175,7 +175,7 @@ fn pieces<S: Send + 'static>(sending: Sending<S>) -> impl Stream<Item = io::Resu
     unfold(Some(sending), |sending| async {
         let mut sending = sending?;
         if let Err(error) = sending.fill().await {
-            tracing::warn!(digest = %sending.artifact.digest, %error, "a download is broken off");
+            tracing::warn!(digest = %sending.artifact.digest, %error, "download aborted");
             report_unless_sound(&sending.store, &sending.farm, &sending.artifact).await;
             return Some((Err(io::Error::other(error.to_string())), None));
         }

@@ -16,16 +16,16 @@ pub(super) enum Fault {
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// The path does not exist.
-    #[error("there is nothing at {path}")]
+    #[error("unknown path {path}")]
     Nowhere {
         /// Path of the request.
         path: String,
     },
     /// This build does not include the web page.
-    #[error("this coordinator was built without its page")]
+    #[error("this coordinator was built without the web page")]
     NoPage,
     /// The path does not support the method.
-    #[error("{path} takes {allowed}")]
+    #[error("{path} supports only {allowed}")]
     Method {
         /// Path of the request.
         path: String,
@@ -41,21 +41,21 @@ pub(super) enum Fault {
         message: String,
     },
     /// The request comes from a page of another site.
-    #[error("the request comes from a page of {origin}, and not of this coordinator")]
+    #[error("the request comes from a page of {origin}, not from a page of this coordinator")]
     CrossSite {
         /// Origin of the page, according to the browser.
         origin: String,
     },
     /// The request names the coordinator with a host name that is not its own.
     #[error(
-        "this coordinator is not reached as {host}: it asks nobody who he is, so it serves its own addresses alone"
+        "requests for the host {host} are refused: without authentication, the coordinator serves only its own addresses"
     )]
     Host {
         /// Host of the request.
         host: String,
     },
     /// The job does not make this result, or the result is not finished.
-    #[error("job {job} has no {file}, or it is not finished")]
+    #[error("job {job} has no {file}, or the result is not finished")]
     NotMade {
         /// The job.
         job: JobId,
@@ -63,7 +63,7 @@ pub(super) enum Fault {
         file: String,
     },
     /// A result is damaged or missing in the store.
-    #[error("{file} of job {job} was damaged in the farm's store, or is gone")]
+    #[error("{file} of job {job} is damaged or missing in the farm's store")]
     Lost {
         /// The job.
         job: JobId,
@@ -71,25 +71,25 @@ pub(super) enum Fault {
         file: String,
     },
     /// The requested range starts past the end of the file.
-    #[error("Range: the file has {length} bytes")]
+    #[error("Range: the file has only {length} bytes")]
     Range {
         /// Size of the file in bytes.
         length: u64,
     },
     /// The body is too large.
-    #[error("the body has more than {limit} bytes")]
+    #[error("the request body exceeds {limit} bytes")]
     TooLarge {
         /// Limit in bytes.
         limit: usize,
     },
     /// The headers are too large.
-    #[error("the headers have more than {limit} bytes")]
+    #[error("the request headers exceed {limit} bytes")]
     Headers {
         /// Limit in bytes. Each header counts 32 bytes in addition to its name and value.
         limit: u32,
     },
     /// The body cannot be read.
-    #[error("the body did not come: {message}")]
+    #[error("cannot read the request body: {message}")]
     Cut {
         /// Error of the transfer.
         message: String,
@@ -148,16 +148,18 @@ impl Fault {
         match self {
             Self::Refused(refusal) => match refusal {
                 Refusal::NoSuchJob { .. } => "GET /api/v1/jobs lists the jobs",
-                Refusal::NoSuchWorker { .. } => "GET /api/v1/feed names the workers",
-                Refusal::NoSuchArtifact { .. } => "it may have been removed; ask again for what names it",
-                Refusal::Ended { .. } => "retry it, if something of it is left to do",
-                Refusal::Invalid { .. } => "docs/http.md has the parameters",
-                Refusal::TooLarge { .. } => "wait a second, then ask less often",
-                Refusal::NoRoom { .. } => "make room there (`femc gc`)",
-                Refusal::Unavailable { .. } => "try again in a few seconds",
-                Refusal::Forbidden { .. } => "ask the farm's admin for an identity of that role (`femc ca`)",
+                Refusal::NoSuchWorker { .. } => "GET /api/v1/feed lists the workers",
+                Refusal::NoSuchArtifact { .. } => {
+                    "the artifact may have been deleted; request its current digest again"
+                }
+                Refusal::Ended { .. } => "retry the job if it has unfinished tasks",
+                Refusal::Invalid { .. } => "see docs/http.md for the parameters",
+                Refusal::TooLarge { .. } => "wait a second, then send requests less often",
+                Refusal::NoRoom { .. } => "free disk space there (`femc gc`)",
+                Refusal::Unavailable { .. } => "retry in a few seconds",
+                Refusal::Forbidden { .. } => "ask the farm's admin for an identity with that role (`femc ca`)",
                 Refusal::Unauthenticated { .. } => {
-                    "POST /login with a token that `femc ca token` made, or send it as `Authorization: Bearer TOKEN`"
+                    "POST /login with a token from `femc ca token`, or send the token as `Authorization: Bearer TOKEN`"
                 }
                 Refusal::StaleEpoch
                 | Refusal::DigestMismatch { .. }
@@ -165,23 +167,24 @@ impl Fault {
                 | Refusal::MissingArtifacts { .. }
                 | Refusal::Resume { .. } => "use `femc submit`",
             },
-            Self::Nowhere { .. } => "docs/http.md has all paths; the API begins with /api/v1",
-            Self::NoPage => "GET /api/v1/jobs and /api/v1/feed give JSON; docs/http.md has the rest",
-            Self::Method { .. } | Self::Invalid { .. } => "docs/http.md has methods, headers and parameters",
-            Self::CrossSite { .. } => "open the coordinator's own page, or ask from a program, which sends no Origin",
+            Self::Nowhere { .. } => "see docs/http.md for all paths; the paths of the API begin with /api/v1",
+            Self::NoPage => "GET /api/v1/jobs and /api/v1/feed return JSON; see docs/http.md for all paths",
+            Self::Method { .. } | Self::Invalid { .. } => "see docs/http.md for methods, headers and parameters",
+            Self::CrossSite { .. } => "use the coordinator's own page, or a program, which sends no Origin header",
             Self::Host { .. } => {
-                "use its address, like http://127.0.0.1:PORT; names are for coordinators with --identity or --token-file"
+                "use its address, such as http://127.0.0.1:PORT; host names need a coordinator with --identity or --token-file"
             }
             Self::NotMade { .. } => {
-                "GET /api/v1/jobs/JOB/frames lists the `outputs` of finished frames, and under 0 those of the whole job"
+                "GET /api/v1/jobs/JOB/frames lists the `outputs` of finished frames; frame 0 has the outputs of the whole job"
             }
             Self::Lost { .. } => {
-                "it is made again, in a job that has failed or was cancelled after a retry; ask again when it is finished"
+                "the farm makes the result again (if the job failed or was cancelled: after a retry); \
+                 request it when it is finished"
             }
-            Self::Range { .. } => "ask for a part within the file, or for the whole file without `Range`",
-            Self::TooLarge { .. } => "send less at a time",
+            Self::Range { .. } => "request a range within the file, or the whole file without `Range`",
+            Self::TooLarge { .. } => "send a smaller body",
             Self::Headers { .. } => "send fewer or shorter headers, such as cookies",
-            Self::Cut { .. } => "send the request again, all of it at once",
+            Self::Cut { .. } => "send the complete request again without pauses",
         }
     }
 

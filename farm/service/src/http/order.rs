@@ -82,7 +82,7 @@ pub(super) struct TaskOrder {
 
 /// Error for a name that is not a column of tasks.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("give {}, with a `-` before it for the greatest first", names())]
+#[error("expected {}; a leading `-` sorts in descending order", names())]
 pub(super) struct NoColumn;
 
 fn names() -> String {

@@ -145,7 +145,7 @@ impl<S: Send + 'static> Http<S> {
         let patience = self.0.gate.limits().patience;
         let mapped = body.map_err(|error| std::io::Error::other(error.to_string()));
         let whole = tokio::time::timeout(patience, Limited::new(mapped, Self::BODY).collect()).await;
-        let late = || Fault::Cut { message: format!("not within {} s", patience.as_secs()) };
+        let late = || Fault::Cut { message: format!("timeout after {} s", patience.as_secs()) };
         match whole.map_err(|_| late())? {
             Ok(whole) => Ok(whole.to_bytes()),
             Err(error) if error.is::<LengthLimitError>() => Err(Fault::TooLarge { limit: Self::BODY }),
@@ -265,7 +265,7 @@ impl<S: Send + 'static> Http<S> {
             self.0.farm.ask(|reply| Call::Tasks { job, filter, from, count, reply }).await?;
         if total > tasks.len() as u64 {
             let message = format!(
-                "{total} tasks are too many to sort, at most {}: choose them by frame, stage or state",
+                "cannot sort {total} tasks, at most {} are possible: filter them by frame, stage or state",
                 tasks.len()
             );
             return Err(Fault::Invalid { field: "sort".into(), message });
@@ -316,7 +316,7 @@ impl<S: Send + 'static> Http<S> {
                 LogText::Inline(text) => text.clone(),
                 LogText::Stored(artifact) => match self.0.store.get(&artifact.digest).await {
                     Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
-                    Err(error) => format!("the log cannot be read: {error}\n"),
+                    Err(error) => format!("cannot read the log: {error}\n"),
                 },
             };
             records.push(LogJson::new(&record, text));
@@ -370,7 +370,7 @@ impl<S: Send + 'static> Http<S> {
     async fn audit(&self, count: usize) -> Result<Response<Body>, Fault> {
         let audit = self.0.gate.audit().cloned();
         let audit =
-            audit.ok_or(Refusal::Unavailable { message: "this coordinator keeps no record (`--audit`)".into() })?;
+            audit.ok_or(Refusal::Unavailable { message: "this coordinator writes no audit log (`--audit`)".into() })?;
         let lines = tokio::task::spawn_blocking(move || audit.latest(count)).await;
         let failed = |message: String| Refusal::Unavailable { message };
         let lines = lines.map_err(|error| failed(error.to_string()))?.map_err(|error| failed(error.to_string()))?;

@@ -116,7 +116,7 @@ impl Route {
             ["audit"] => {
                 let count = query.number("count")?.unwrap_or(200);
                 if !(1..=10_000).contains(&count) {
-                    return Err(invalid("count", "from 1 to 10000"));
+                    return Err(invalid("count", "expected a number from 1 to 10000"));
                 }
                 (Self::Audit(count), Method::GET)
             }
@@ -183,7 +183,9 @@ impl Route {
 fn window(query: Query<'_>) -> Result<TaskWindow, Fault> {
     let state = query.get("state").map(|name| {
         let known = TaskState::ALL.into_iter().find(|state| state.name() == name);
-        known.ok_or_else(|| invalid("state", &format!("`{name}`: give waiting, queued, running, done or failed")))
+        known.ok_or_else(|| {
+            invalid("state", &format!("unknown state `{name}` (expected waiting, queued, running, done or failed)"))
+        })
     });
     let filter = TaskFilter { frame: query.number("frame")?, stage: query.number("stage")?, state: state.transpose()? };
     let (from, count) = (query.number("from")?.unwrap_or(0), query.number("count")?.unwrap_or(1000));
@@ -193,7 +195,7 @@ fn window(query: Query<'_>) -> Result<TaskWindow, Fault> {
 /// Returns the height of a thumbnail in pixels.
 fn height(query: Query<'_>) -> Result<u32, Fault> {
     let height = query.number("height")?.unwrap_or(90);
-    if (1..=1024).contains(&height) { Ok(height) } else { Err(invalid("height", "from 1 to 1024")) }
+    if (1..=1024).contains(&height) { Ok(height) } else { Err(invalid("height", "expected a number from 1 to 1024")) }
 }
 
 fn invalid(field: &str, message: &str) -> Fault {

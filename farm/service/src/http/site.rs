@@ -33,7 +33,7 @@ pub(super) fn token(headers: &HeaderMap) -> Result<Option<&str>, Fault> {
     let mut own = cookies.filter_map(|cookie| cookie.trim().split_once('=')).filter(|(name, _)| *name == COOKIE_NAME);
     let token = own.next().map(|(_, value)| value);
     if own.next().is_some() {
-        return Err(invalid("Cookie", "there are two cookies named femc: log out, and in again"));
+        return Err(invalid("Cookie", "the request has two cookies named femc: log out and log in again"));
     }
     Ok(token.filter(|token| !token.is_empty()))
 }
@@ -79,7 +79,7 @@ pub(super) fn check(route: &Route, asked: &Asked<'_>, visitor: &Visitor, asks: b
             return Err(invalid("Content-Type", "must be application/json"));
         }
         if header(OWN_HEADER) != "1" {
-            return Err(invalid("X-Femc", "what changes something must come with the header `X-Femc: 1`"));
+            return Err(invalid("X-Femc", "requests that change something must have the header `X-Femc: 1`"));
         }
     }
     Ok(())

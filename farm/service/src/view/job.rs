@@ -180,47 +180,51 @@ fn has(n: u32) -> &'static str {
 pub fn wait(job: &JobStatus, wait: &Wait) -> String {
     match wait {
         Wait::Paused => "the job is paused".to_owned(),
-        Wait::NoWorkers => "no worker is there; start one with `femc worker --join URL`".to_owned(),
+        Wait::NoWorkers => "no worker is connected; start one with `femc worker --join URL`".to_owned(),
         Wait::NoWorkerWithTags(tags) => format!("no worker has all the tags {}", tags.join(", ")),
-        Wait::WorkersBusy { workers: 1 } => "the only worker that may take it is busy".to_owned(),
-        Wait::WorkersBusy { workers } => format!("all {workers} workers that may take it are busy"),
+        Wait::WorkersBusy { workers: 1 } => "the only suitable worker is busy".to_owned(),
+        Wait::WorkersBusy { workers } => format!("all {workers} suitable workers are busy"),
         Wait::WorkersDraining { workers: 1 } => {
-            "the only worker that may take it takes no more tasks; `femc workers` tells more".to_owned()
+            "the only suitable worker accepts no new tasks; see `femc workers`".to_owned()
         }
         Wait::WorkersDraining { workers } => {
-            format!("all {workers} workers that may take it take no more tasks; `femc workers` tells more")
+            format!("all {workers} suitable workers accept no new tasks; see `femc workers`")
         }
         Wait::WorkersResting => {
-            "the workers that may take it rest after a failure of memory, disk, store or network".to_owned()
+            "the suitable workers rest after a failure of memory, disk, store or network".to_owned()
         }
         Wait::WorkersSilent { workers, seconds } => {
             let (workers, verb) = (count(u64::from(*workers), "worker"), has(*workers));
             format!(
-                "{workers} {verb} not been heard of for {seconds} s: stopped, cut off or overloaded; `femc workers` tells which"
+                "{workers} {verb} not responded for {seconds} s: stopped, disconnected or overloaded; see `femc workers`"
             )
         }
         Wait::WorkersInTrouble { workers: 1, seconds, failure } => {
-            format!("1 worker rests for {seconds} s more, after this: {failure}")
+            format!("1 worker rests for another {seconds} s after this failure: {failure}")
         }
         Wait::WorkersInTrouble { workers, seconds, failure } => {
-            format!("{workers} workers rest, the first for {seconds} s more, after this: {failure}")
+            format!("{workers} workers rest, the first one for another {seconds} s, after this failure: {failure}")
         }
         Wait::WorkersQuarantined { workers, seconds } => format!(
-            "tasks kept failing on {}: the next try there in {seconds} s",
+            "tasks failed repeatedly on {}; the next attempt there is in {seconds} s",
             count(u64::from(*workers), "worker")
         ),
         Wait::WorkersAvoided { tasks } => format!(
-            "{} failed last on the workers with room, and another worker is to try next",
+            "the last attempt at {} failed on the workers that are free now; another worker must retry",
             count(u64::from(*tasks), "task")
         ),
         Wait::OtherBuild { frames } => format!(
-            "{} begun by another build of the engine than that of the workers with room; a minute after its last worker has left they begin anew",
+            "the free workers have another engine build than the one that began {}; \
+             rendering restarts one minute after the last worker with that build disconnects",
             count(u64::from(*frames), "frame")
         ),
         Wait::Regrouping { milliseconds } => {
-            format!("the coordinator hears the workers out after its start; tasks go out in {milliseconds} ms")
+            format!(
+                "the coordinator has just started and waits until workers reconnect; \
+                 it dispatches tasks in {milliseconds} ms"
+            )
         }
-        Wait::BehindJob(job) => format!("job {job} goes first"),
+        Wait::BehindJob(job) => format!("job {job} is ahead in the queue"),
         Wait::StageWaits { frame, stage, needs, tasks } => {
             let tasks = count(u64::from(*tasks), &format!("{} task", needs.name()));
             format!("the {} stage of {} waits for {tasks}", stage.name(), unit(*frame))
@@ -228,31 +232,38 @@ pub fn wait(job: &JobStatus, wait: &Wait) -> String {
         Wait::SharedStage { shared, stage, done, tasks, jobs } => {
             let jobs = count(u64::from(*jobs), "job");
             let stage = stage.name();
-            format!("frames wait for {shared}, which is done once for {jobs}: {done} of {tasks} {stage} tasks are done")
+            format!(
+                "frames wait for {shared}, which is computed once for {jobs}: \
+                 {done} of {tasks} {stage} tasks are done"
+            )
         }
         Wait::SharedQuarantined { shared, frames, tasks } => {
             let (frames, tasks) = (count(u64::from(*frames), "frame"), count(u64::from(*tasks), "task"));
-            format!("{frames} cannot go on: {shared}, which they need, has {tasks} out of attempts")
+            format!("{frames} cannot continue: {shared}, which they need, has {tasks} without attempts left")
         }
         Wait::Mishaps { tasks, message } => {
-            format!("{} could not be done until now: {message}", count(u64::from(*tasks), "task"))
+            format!(
+                "attempts at {} failed because of their environment (store, network or memory) \
+                 and will be retried: {message}",
+                count(u64::from(*tasks), "task")
+            )
         }
         Wait::ImageLost { frame: Stage::OF_JOB } => {
-            "a still, the contact sheet or the clip was damaged in the store, or is gone: the job's own stages make them again"
+            "a still, the contact sheet or the clip is damaged or missing in the store; the job's own stages make it again"
                 .to_owned()
         }
         Wait::ImageLost { frame } => {
             format!(
-                "the finished image of frame {frame} was damaged in the store, or is gone: the frame is rendered again"
+                "the finished image of frame {frame} is damaged or missing in the store; the frame is rendered again"
             )
         }
         Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 } => format!(
-            "the job's own stages (stills, contact sheet, clip) wait for {} that failed; `femc retry {}` tries again",
+            "the job's own stages (stills, contact sheet, clip) wait for {} that failed; retry with `femc retry {}`",
             count(u64::from(job.frames_failed), "frame"),
             job.job
         ),
         Wait::Quarantined { frame, tasks } => {
-            format!("{} cannot go on: {} out of attempts", unit(*frame), count(u64::from(*tasks), "task"))
+            format!("{} cannot continue: {} without attempts left", unit(*frame), count(u64::from(*tasks), "task"))
         }
     }
 }
@@ -320,7 +331,8 @@ mod tests {
         assert!(lost.contains("clip") && !lost.contains("frame"), "{lost}");
         assert!(said(Wait::ImageLost { frame: 3 }).contains("image of frame 3"));
         assert!(
-            said(Wait::Quarantined { frame: 3, tasks: 1 }).contains("frame 3 cannot go on: 1 task out of attempts")
+            said(Wait::Quarantined { frame: 3, tasks: 1 })
+                .contains("frame 3 cannot continue: 1 task without attempts left")
         );
     }
 }

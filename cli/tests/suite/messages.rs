@@ -49,7 +49,7 @@ fn who_cannot_be_talked_to_is_not_told_as_a_coordinator_that_was_not_started() {
         (&as_http, "", "is encrypted; write https://"),
         (&as_https, "--identity ann.pem", "is not encrypted"),
         (&url, "--identity sue.pem", "belongs to another farm"),
-        (&web, "", "is no coordinator"),
+        (&web, "", "is not a coordinator"),
     ] {
         for command in ["jobs --server", "submit fog.mgf --spp 1 --server", "worker --join"] {
             let error = place.run(&format!("{command} {address} {identity}")).exits(4).stderr();
@@ -80,7 +80,7 @@ fn who_takes_connections_and_says_nothing_is_told_and_a_worker_waits_for_it() {
         }
     });
     let error = place.run(&format!("worker --join {url} --threads 1 --patience 0.1")).exits(4).stderr();
-    assert!(error.contains("says nothing") && error.contains("--join") && error.contains(&url), "{error}");
+    assert!(error.contains("does not answer") && error.contains("--join") && error.contains(&url), "{error}");
     last.store(taken.load(Ordering::SeqCst) + 10, Ordering::SeqCst);
     let mut worker = place.start(&format!("worker --join {url} --threads 1 --patience 60s --outbox memory"));
     worker.wait_until("it goes on trying", || ends.is_finished());

@@ -329,7 +329,7 @@ mod tests {
             ("spp = 4\nerror = 0.1", "exclude each other"),
             ("error = -1.0", "relative error"),
             ("priority = 101", "0 to 100"),
-            ("name = \"a/b\"", "named by it"),
+            ("name = \"a/b\"", "part of file names"),
             ("comment = \"a\\nb\"", "one line"),
             ("labels = { \"\" = \"x\" }", "name of a label"),
             ("threads = 0", "threads is at least 1"),

@@ -263,9 +263,9 @@ fn an_exposure_without_a_picture_and_a_picture_with_a_clip_are_wrong_usage() {
     let place = Place::new();
     for (line, says) in [
         ("-o a.exr --exposure 3", "give -o NAME.png"),
-        ("-o a.png --video a.gif", "are made of EXR files"),
+        ("-o a.png --video a.gif", "need EXR files"),
         ("-o a.png --exposure bright", "`bright` is no exposure"),
-        ("-o a.png --frames 1..2", "such a name is one"),
+        ("-o a.png --frames 1..2", "this name is for one frame"),
         ("-o a.jpg", "give NAME.exr or NAME.png"),
     ] {
         let said = place.run(&format!("render fog.mgf --spp 1 {line}")).exits(2).stderr();

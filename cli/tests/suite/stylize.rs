@@ -221,7 +221,7 @@ fn bad_input_says_what_is_wrong_and_where_and_paints_nothing() {
     let before = names(&place.path("."));
     for (arguments, code, said) in [
         ("--style large.png --source a.exr --target b.exr", 1, "large.png has 25x18 pixels, the source a.exr 24x18"),
-        ("--style p.png --source a.exr --target a.exr b.exr", 2, "2 targets, one picture; give a folder"),
+        ("--style p.png --source a.exr --target a.exr b.exr", 2, "2 targets, but this is one picture; give a folder"),
         ("--style p.png --source a.exr --target z*.exr", 2, "--target z*.exr: no such file"),
         ("--style p.png --source a.layers.exr --target b.layers.exr --guides glow", 1, "no layer `glow`"),
         ("--style p.png --source lamp.layers.exr --target fog.layers.exr", 1, "no layer in common"),

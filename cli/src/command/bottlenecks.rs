@@ -17,11 +17,11 @@ use std::path::PathBuf;
     femc bottlenecks box.paths --of lamps --csv\n  \
     femc bottlenecks box.paths --of fireflies --lines 50        # the samples that add most to the noise\n  \
     femc bottlenecks box.paths --json | jq '.findings'\n\n\
-    noise: squared excess of samples over the other samples of their pixel, attributed to the last scattering part; relative to \
-    blocks, as with --error. light: the light of the image, attributed in the same way. work: number of intersections of paths. \
-    deep: throughput that arrives at the 8th intersection or later. seen: number of paths whose first intersection is there. \
-    depth: mean number of intersections of these paths. left: throughput of these paths that remains at the 8th intersection; if \
-    it is high, long paths are necessary.\n\n\
+    noise: squared excess of samples over the other samples of their pixel, attributed to what scattered the light last; \
+    relative to blocks, as with --error. light: the light of the image, attributed in the same way. work: the intersections of \
+    paths. deep: the throughput that arrives at the 8th intersection or later. seen: paths whose first intersection is there. \
+    depth: mean number of intersections of these paths. left: throughput of these paths that remains at the 8th intersection; \
+    if it is high, long paths are necessary.\n\n\
     `femc render --stats` writes the files. A file contains all of the brightest samples of each tile, and a fair subset of the \
     other samples.")]
 pub struct BottlenecksArgs {

@@ -54,7 +54,7 @@ use femc_model::Control;
 #[command(
     name = "femc",
     version,
-    about = "A physically based render farm: foggy scenes to frames, exactly",
+    about = "A render farm for physically based light",
     after_help = "Examples:\n  \
         femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
         femc render scenes/roundabout.mgf --frames 1..24 --size 160x90 --spp 8 -o drive --video drive.mp4\n  \

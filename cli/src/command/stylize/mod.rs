@@ -25,7 +25,7 @@ use std::sync::{Mutex, PoisonError};
     femc stylize --style oil --target room.layers.exr -o room.png\n  \
     femc stylize --style painted.png --source ball.layers.exr --target room.layers.exr -o room.png\n  \
     femc stylize --style painted.png --source ball.layers.exr --target 'drive/*.layers.exr' -o painted/\n\n\
-    A painting must match its source, a render, pixel by pixel. The guides are the layers of light that both source and target \
+    A painting is painted over its source, a render, pixel by pixel. The guides are the layers of light that both source and target \
     have; without such layers, the pictures themselves. The source has its own exposure; all targets share another. Several \
     targets are painted one after the other, as frames of a clip: with layers motion (and depth), each frame follows the \
     painting of the frames before it. The same files and settings give the same pictures with any number of threads.")]

@@ -37,11 +37,12 @@ impl ExtrasArgs {
         let video = self.video.as_deref().map(|path| name("--video", path)).transpose()?;
         let video = video.map(|name| Video { name, rate });
         if let Some(Video { name, .. }) = video.as_ref().filter(|video| !video.is_sound()) {
-            let formats = "the name's ending is the clip's format; give FILE.png, FILE.gif or FILE.mp4";
+            let formats = "the file extension sets the clip's format; give FILE.png, FILE.gif or FILE.mp4";
             return Err(usage(format!("--video {name}: {formats}")));
         }
         let wish = Wish { stills: self.preview, sheet, video, painting: None };
-        let clash = || usage("--contact-sheet: give FILE.png, another one than the clip's");
+        let clash =
+            || usage("--contact-sheet: the name must end in .png and differ from the clip's name; give FILE.png");
         if wish.is_sound() { Ok(wish) } else { Err(clash()) }
     }
 }
@@ -49,7 +50,11 @@ impl ExtrasArgs {
 /// Returns a file name that contains no folder.
 fn name(flag: &str, path: &Path) -> Result<String, Failure> {
     let name = path.to_str().filter(|name| JobSpec::names_files(name));
-    let wrong =
-        || usage(format!("{flag} {}: `femc fetch -o DIR` says where; give the file's name alone", path.display()));
+    let wrong = || {
+        usage(format!(
+            "{flag} {}: give a file name without a folder; `femc fetch -o DIR` chooses the folder",
+            path.display()
+        ))
+    };
     name.map(ToOwned::to_owned).ok_or_else(wrong)
 }

@@ -44,11 +44,11 @@ pub fn label(text: &str) -> Result<(String, String), String> {
 /// Parses the name of a job.
 pub fn job_name(text: &str) -> Result<String, String> {
     if text.len() > JobSpec::MAX_NAME {
-        return Err(format!("a name has {} bytes at most", JobSpec::MAX_NAME));
+        return Err(format!("a name has at most {} bytes", JobSpec::MAX_NAME));
     }
     if !JobSpec::names_files(text) {
         return Err(
-            "the frames' files are named by it: it is not empty, and has no /, \\, : or control characters".into()
+            "it becomes part of file names; it must not be empty or contain /, \\, : or control characters".into()
         );
     }
     Ok(text.to_owned())

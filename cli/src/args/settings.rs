@@ -119,7 +119,7 @@ impl SettingsArgs {
 fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
-        _ => Err(format!("`{text}` is no relative error; write a number > 0, like 0.05 for 5 %")),
+        _ => Err(format!("`{text}` is not a relative error; write a number > 0, like 0.05 for 5 %")),
     }
 }
 

@@ -19,9 +19,9 @@ use tokio::task::JoinSet;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc backup /backup/farm\n  \
-    femc backup /backup/farm --log-only     # and copy the artifacts that artifacts.txt names by other means\n  \
+    femc backup /backup/farm --log-only     # copy the artifacts in artifacts.txt by other means\n  \
     cp -r /backup/farm . && femc coordinator --store sqlite:farm/farm.db --artifacts farm/artifacts    # restore\n\n\
-    Takes an admin, where the farm has roles. A log in PostgreSQL is copied with `pg_dump --schema=femc`.")]
+    On a farm with roles, the command needs the role admin. Copy a log in PostgreSQL with `pg_dump --schema=femc`.")]
 pub struct BackupArgs {
     /// Folder for farm.db, artifacts.txt and artifacts/; created if missing
     #[arg(value_name = "DIR")]
@@ -47,13 +47,13 @@ pub fn run(args: &BackupArgs, say: Say) -> Result<Exit, Failure> {
         let bytes: u64 = artifacts.iter().map(|artifact| artifact.bytes).sum();
         let all = format!("{}, {}B", human::count(artifacts.len() as u64, "artifact"), human::quantity(bytes as f64));
         if args.log_only {
-            say.result(format!("copied the log; artifacts.txt names {all}"));
+            say.result(format!("copied the log; artifacts.txt lists {all}"));
             return Ok(());
         }
         let (fetched, gone) = fetch(farm, &args.folder.join("artifacts"), &artifacts).await?;
         say.result(format!("copied the log, which refers to {all}; {fetched} were new here"));
         if gone > 0 {
-            say.note(format!("{} superfluous in the meantime", human::count(gone, "artifact")));
+            say.note(format!("{} skipped: no longer needed", human::count(gone, "artifact")));
         }
         Ok(())
     })?;

@@ -12,16 +12,18 @@ use std::path::PathBuf;
 /// List the objects, materials and lamps that make frames noisy, and those that make paths long
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc bottlenecks box.paths                                  # what stands out, and the parts it stands out of\n  \
-    femc bottlenecks drive/*.paths --of objects                 # of all frames of a clip together\n  \
+    femc bottlenecks box.paths                                  # findings, and all parts of the scene\n  \
+    femc bottlenecks drive/*.paths --of objects                 # all frames of a clip together\n  \
     femc bottlenecks box.paths --of lamps --csv\n  \
     femc bottlenecks box.paths --of fireflies --lines 50        # the samples that add most to the noise\n  \
     femc bottlenecks box.paths --json | jq '.findings'\n\n\
-    noise: by how much samples are brighter than the others of their pixel, squared, laid to what scattered their light last; relative \
-    to blocks, as --error has it. light: the light of the image, in the same way. work: the intersections of paths. deep: the \
-    throughput that arrives at the 8th intersection or later. seen: paths whose first intersection it is. depth: their intersections, \
-    on average. left: the throughput that is left to them at the 8th; much of it needs long paths.\n\n\
-    `femc render --stats` writes the files. A file has the brightest samples of each tile, all of them, and a fair subset of the others.")]
+    noise: squared excess of samples over the other samples of their pixel, attributed to what scattered the light last; \
+    relative to blocks, as with --error. light: the light of the image, attributed in the same way. work: the intersections of \
+    paths. deep: the throughput that arrives at the 8th intersection or later. seen: paths whose first intersection is there. \
+    depth: mean number of intersections of these paths. left: throughput of these paths that remains at the 8th intersection; \
+    if it is high, long paths are necessary.\n\n\
+    `femc render --stats` writes the files. A file contains all of the brightest samples of each tile, and a fair subset of the \
+    other samples.")]
 pub struct BottlenecksArgs {
     /// Statistics files (.paths) of the frames
     #[arg(value_name = "FRAME.paths", required = true)]
@@ -117,7 +119,7 @@ pub fn run(args: &BottlenecksArgs, say: Say) -> Result<Exit, Failure> {
 /// Prints a table for people.
 fn show<R>(say: Say, columns: &[Column<R>], rows: &[R], lines: usize) {
     if rows.is_empty() {
-        say.note("nothing is recorded of that");
+        say.note("no such records");
         return;
     }
     say.result(human(columns, &rows[..rows.len().min(lines)]));

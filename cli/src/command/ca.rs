@@ -22,9 +22,9 @@ use std::path::{Path, PathBuf};
     femc coordinator --listen 0.0.0.0:7878 --identity farm.pem --revoked femc-ca/revoked\n  \
     femc worker --join https://farm.lan:7878 --identity node-7.pem\n  \
     FEMC_SERVER=https://farm.lan:7878 FEMC_IDENTITY=ann.pem femc jobs\n  \
-    femc ca export -o farm.crt    # for browsers, which warn of the farm's authority until they have it\n  \
-    femc ca revoke node-7    # from the next message on, node-7 is let in no more\n\n\
-    Who cannot have an identity gets a token: whoever has its file is taken for its owner, until its date or until it is revoked:\n  \
+    femc ca export -o farm.crt    # for browsers, which warn until it is imported\n  \
+    femc ca revoke node-7    # node-7 is refused from its next message on\n\n\
+    Clients without an identity use a token. Everybody with the token file acts as its owner, until it expires or is revoked:\n  \
     femc ca token user build --role submitter --days 30 -o build.token\n  \
     femc coordinator --listen 0.0.0.0:7878 --identity farm.pem --revoked femc-ca/revoked --token-file femc-ca/tokens\n  \
     FEMC_SERVER=https://farm.lan:7878 FEMC_TOKEN_FILE=build.token femc jobs")]
@@ -77,7 +77,7 @@ enum Action {
     /// authority. The file contains no key and is not secret. Compare its SHA-256 fingerprint before you import it.
     #[command(after_help = "Examples:\n  \
         femc ca export -o farm.crt\n  \
-        openssl x509 -in farm.crt -noout -fingerprint -sha256    # the same fingerprint, elsewhere")]
+        openssl x509 -in farm.crt -noout -fingerprint -sha256    # prints the same fingerprint, on any machine")]
     Export {
         /// File to write
         #[arg(short, long, value_name = "FILE", default_value = "femc-authority.crt")]
@@ -164,7 +164,7 @@ pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
         Action::Init { name, folder } => {
             Authority::init(&folder.folder, &name).map_err(|error| map_trust_error(&error))?;
             say.note(format!(
-                "{} is the farm's authority now; keep it private, and back it up",
+                "{} is now the farm's authority; keep it private and back it up",
                 folder.folder.display()
             ));
         }
@@ -177,7 +177,7 @@ pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
             let count = authority.revoke(&name).map_err(|error| map_trust_error(&error))?;
             let list = authority.revoked();
             say.note(format!(
-                "{count} of {name} revoked; coordinators read {} (--revoked) and {} (--token-file), copy them to those elsewhere",
+                "{name}: {count} revoked; coordinators read {} (--revoked) and {} (--token-file): copy both files to other machines",
                 list.display(),
                 authority.tokens().display()
             ));
@@ -192,9 +192,10 @@ fn open(folder: &Path) -> Result<Authority, Failure> {
 
 fn not_there(folder: &Path, error: &TrustError) -> Failure {
     match error {
-        TrustError::File { error: cause, .. } if cause.kind() == std::io::ErrorKind::NotFound => {
-            usage(format!("--dir {}: no authority is there; make one with `femc ca init`", folder.display()))
-        }
+        TrustError::File { error: cause, .. } if cause.kind() == std::io::ErrorKind::NotFound => usage(format!(
+            "--dir {}: the folder contains no authority; create one with `femc ca init`",
+            folder.display()
+        )),
         _ => map_trust_error(error),
     }
 }
@@ -207,7 +208,7 @@ fn export(output: &Path, folder: &Path, say: Say) -> Result<(), Failure> {
     std::fs::write(&path, certificate).map_err(|error| failed(format!("{}: {error}", path.display())))?;
     say.result(path.display());
     say.note(format!(
-        "import it into browsers as the certificate of an authority, after a look at its SHA-256 fingerprint: {fingerprint}"
+        "import it into browsers as the certificate of an authority, after you have compared its SHA-256 fingerprint: {fingerprint}"
     ));
     Ok(())
 }
@@ -215,7 +216,7 @@ fn export(output: &Path, folder: &Path, say: Say) -> Result<(), Failure> {
 fn issue(args: IssueArgs, say: Say) -> Result<(), Failure> {
     let IssueArgs { kind, name, role, host, days, output, folder } = args;
     if kind != Kind::Coordinator && !host.is_empty() {
-        return Err(usage("--host: only a coordinator is reached by a name"));
+        return Err(usage("--host: only coordinators have host names"));
     }
     let path = free(output, format!("{name}.pem"))?;
     let holder = holder(kind, name, role)?;
@@ -244,8 +245,8 @@ fn holder(kind: Kind, name: String, role: Option<Role>) -> Result<Holder, Failur
         (Kind::Coordinator, None) => Ok(Holder::Coordinator { name }),
         (Kind::Worker, None) => Ok(Holder::Worker { name }),
         (Kind::User, Some(role)) => Ok(Holder::User { name, role }),
-        (Kind::User, None) => Err(usage("--role: a user has one")),
-        (Kind::Coordinator | Kind::Worker, Some(_)) => Err(usage("--role: only users have one")),
+        (Kind::User, None) => Err(usage("--role: a user needs a role: viewer, submitter, operator or admin")),
+        (Kind::Coordinator | Kind::Worker, Some(_)) => Err(usage("--role: only users have a role")),
     }
 }
 
@@ -253,7 +254,7 @@ fn holder(kind: Kind, name: String, role: Option<Role>) -> Result<Holder, Failur
 fn free(output: Option<PathBuf>, or: String) -> Result<PathBuf, Failure> {
     let path = output.unwrap_or_else(|| or.into());
     if path.exists() {
-        return Err(failed(format!("{} is there already, and is left as it is; give another -o", path.display())));
+        return Err(failed(format!("{} exists and is not overwritten; give another -o", path.display())));
     }
     Ok(path)
 }
@@ -295,7 +296,7 @@ fn list(folder: &Path, format: FormatArgs, say: Say) -> Result<(), Failure> {
         return json::print(say, &lines);
     }
     if lines.is_empty() {
-        say.note("nothing was issued yet; `femc ca issue` does");
+        say.note("nothing was issued yet; issue an identity with `femc ca issue`");
     } else {
         say.result(human::table(
             &["kind", "holder", "state", "fingerprint"],
@@ -308,9 +309,9 @@ fn list(folder: &Path, format: FormatArgs, say: Say) -> Result<(), Failure> {
 fn row(line: &Line) -> Vec<String> {
     let state = match (line.revoked, line.days_left) {
         (true, _) => "revoked".to_owned(),
-        (false, None) => "holds".to_owned(),
+        (false, None) => "valid".to_owned(),
         (false, Some(..0)) => "expired".to_owned(),
-        (false, Some(days)) => format!("holds {days} days"),
+        (false, Some(days)) => format!("valid for {days} days"),
     };
     vec![
         line.kind.to_owned(),

@@ -63,7 +63,7 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
         .worker_threads(2)
         .enable_all()
         .build()
-        .map_err(|e| failed(format!("threads cannot be started: {e}")))
+        .map_err(|e| failed(format!("cannot start threads: {e}")))
 }
 
 impl Farm {
@@ -260,7 +260,7 @@ async fn patiently_telling<T>(
                 if Clock.since(begun) < PATIENCE =>
             {
                 if matches!(error, CallError::Refused(_)) && !std::mem::replace(&mut is_told, true) {
-                    tracing::error!("{error}; trying again for {} s", PATIENCE.as_secs());
+                    tracing::error!("{error}; retrying for {} s", PATIENCE.as_secs());
                 }
                 away(Clock.since(begun));
                 tokio::time::sleep(RETRY).await;
@@ -286,36 +286,36 @@ async fn unmet(error: CallError, option: &str) -> Unmet {
     let is_https = url.starts_with("https:");
     let (message, may_come) = match femc_proto::look(url).await {
         Found::Nobody { message } => {
-            (format!("no coordinator takes connections at {url} ({message}); {nobody}"), MayCome::Yes)
+            (format!("no coordinator accepts connections at {url} ({message}); {nobody}"), MayCome::Yes)
         }
         Found::Encrypted if !is_https => (
             format!(
-                "{url} is encrypted; write https:// instead of http:// in {option}, and say who you are with --identity or --token-file"
+                "{url} is encrypted; write https:// instead of http:// in {option}, and give --identity or --token-file"
             ),
             MayCome::No,
         ),
         Found::Open if is_https => (
             format!(
-                "{url} is not encrypted: whoever is there has no identity (`femc coordinator --identity`); \
-                 write http:// instead of https:// in {option} if that is right for you"
+                "{url} is not encrypted: the coordinator there has no identity (`femc coordinator --identity`); \
+                 write http:// instead of https:// in {option} if this is intended"
             ),
             MayCome::No,
         ),
         Found::Silent => (
             format!(
-                "{url} takes connections and says nothing: the coordinator there is stopped, overloaded or not up yet, or a tunnel \
-                 or proxy leads nowhere; try again when it is up, or give another address with {option}"
+                "{url} accepts connections but does not answer: the coordinator there is stopped, overloaded or still starting, or \
+                 a tunnel or proxy leads nowhere; retry when it is up, or give another address with {option}"
             ),
             MayCome::Yes,
         ),
         Found::Other => (
             format!(
-                "what answers at {url} is no coordinator: it speaks otherwise; give the coordinator's address with {option}"
+                "the server at {url} is not a coordinator: it uses another protocol; give the coordinator's address with {option}"
             ),
             MayCome::No,
         ),
         Found::Open | Found::Encrypted => {
-            (format!("{error}; somebody is there: try again, or give another address with {option}"), MayCome::Yes)
+            (format!("{error}; a server listens there: retry, or give another address with {option}"), MayCome::Yes)
         }
     };
     Unmet { failure: unreachable(message), may_come }
@@ -329,18 +329,20 @@ pub fn map_call_error(error: CallError) -> Failure {
             usage(format!("{error}; give it with --identity or FEMC_IDENTITY, --token-file or FEMC_TOKEN_FILE"))
         }
         CallError::OpenToken { .. } => usage(format!("{error}; give an address that begins with https://")),
-        CallError::NoAuthority { .. } => usage(format!("{error}; `femc ca token` makes one that has it")),
+        CallError::NoAuthority { .. } => {
+            usage(format!("{error}; `femc ca token` writes token files with this certificate"))
+        }
         CallError::Unreachable { why: Why::TheirCertificate, .. } => unreachable(format!(
-            "{error}; the coordinator there belongs to another farm than the identity or token that was given: \
-             give one that its farm has issued, or this farm's address"
+            "{error}; this coordinator belongs to another farm than the given identity or token: \
+             give one that this coordinator's farm has issued, or the address of your farm"
         )),
         CallError::Unreachable { why: Why::OurCertificate, .. } => unreachable(format!(
-            "{error}; it does not take this identity: another farm's authority has issued it, or its time is over; \
+            "{error}; the coordinator refuses this identity: another farm's authority has issued it, or it has expired; \
              give one that this farm has issued (`femc ca issue`)"
         )),
         // A coordinator answered here before, so the address is not examined again.
         CallError::Unreachable { why: Why::Away, .. } => {
-            unreachable(format!("{error}; it answered before: try again when it is back"))
+            unreachable(format!("{error}; it answered before: retry when it is back"))
         }
         CallError::Refused(refusal) => match refusal {
             Refusal::NoSuchJob { .. } => usage(format!("{refusal}; `femc jobs` lists all")),
@@ -356,10 +358,10 @@ pub fn map_call_error(error: CallError) -> Failure {
             | Refusal::MissingArtifacts { .. }
             | Refusal::Resume { .. } => failed(refusal),
             Refusal::Unauthenticated { .. } => failed(format!(
-                "{refusal}; give --identity or --token-file with one that this farm has made and not revoked (`femc ca list`)"
+                "{refusal}; give an --identity or --token-file that this farm has issued and not revoked (`femc ca list`)"
             )),
             Refusal::Forbidden { .. } => {
-                failed(format!("{refusal}; ask whoever keeps the farm's authority (`femc ca`)"))
+                failed(format!("{refusal}; ask the administrator of the farm's authority (`femc ca`)"))
             }
         },
         CallError::Answer(_) | CallError::Status { .. } => failed(error),

@@ -60,7 +60,7 @@ fn do_to(args: &JobsArgs, control: &Control, frames: Option<&Frames>, say: Say) 
             if args.select.is_empty() { args.jobs.clone() } else { selected(&args.select, control, farm).await? };
         if jobs.is_empty() {
             return Err(usage(
-                "no job of this owner, name and label to which this could be done; `femc jobs` lists them",
+                "no job with this owner, name and label is in a state that allows this; `femc jobs` lists all jobs",
             ));
         }
         steer(farm, &jobs, control, frames, say).await
@@ -107,11 +107,13 @@ async fn steer(
     say: Say,
 ) -> Result<Exit, Failure> {
     let done = match (control, frames) {
-        (Control::Pause, _) => "is paused; `femc resume` ends that".to_owned(),
-        (Control::Resume, _) => "goes on".to_owned(),
-        (Control::Cancel, _) => "is cancelled; finished frames stay, and `femc retry` would do the others".to_owned(),
-        (Control::Retry, Some(frames)) => format!("tries again what failed of the frames {frames}"),
-        (Control::Retry | Control::RetryFrames(_), _) => "tries again what failed".to_owned(),
+        (Control::Pause, _) => "is paused; `femc resume` resumes it".to_owned(),
+        (Control::Resume, _) => "is resumed".to_owned(),
+        (Control::Cancel, _) => {
+            "is cancelled; finished frames are kept, and `femc retry` renders the others".to_owned()
+        }
+        (Control::Retry, Some(frames)) => format!("retries its failed or unfinished tasks of the frames {frames}"),
+        (Control::Retry | Control::RetryFrames(_), _) => "retries its failed or unfinished tasks".to_owned(),
         (Control::Priority(priority), _) => format!("has priority {priority}"),
         (Control::Delete, _) => "is deleted".to_owned(),
     };

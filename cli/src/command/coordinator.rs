@@ -28,15 +28,15 @@ use std::time::Duration;
     AWS_ENDPOINT_URL=http://minio:9000 AWS_ALLOW_HTTP=true femc coordinator --artifacts s3://farm/artifacts\n  \
     femc coordinator --on-end 'mail -s \"femc: $FEMC_NAME is $FEMC_STATE\" \"$FEMC_OWNER\"'\n  \
     femc coordinator --notify-allow https://hooks.example.com/femc/ --notify-key notify.key\n  \
-    femc coordinator --share ann=3 --share bob=1    # ann's jobs get three times the time of bob's\n  \
-    femc coordinator --store postgres://femc@127.0.0.1/farm --artifacts artifacts    # of several: one leads\n  \
+    femc coordinator --share ann=3 --share bob=1    # ann's jobs get three times the worker time of bob's\n  \
+    femc coordinator --store postgres://femc@127.0.0.1/farm --artifacts artifacts    # one of several: one leads\n  \
     femc coordinator --listen 127.0.0.1:0    # any free port; the first line on stdout says which\n\n\
-    Stopped by Ctrl-C, SIGTERM or a crash, it goes on where it was when it is started again with the same --store \
-    and --artifacts; its workers join again by themselves.\n\n\
-    Several coordinators may share one PostgreSQL database and one artifacts folder. One leads and listens; the others stand \
-    by, and one of them goes on within seconds when the leader has died, frozen or lost the database. Workers and clients \
-    get all their addresses: --join http://one:7878,http://two:7878. The password may come from PGPASSWORD or \
-    ~/.pgpass. Everything is kept in the schema femc, which is made if it is not there.")]
+    After Ctrl-C, SIGTERM or a crash, start the coordinator again with the same --store and --artifacts to resume; its workers \
+    reconnect by themselves.\n\n\
+    Several coordinators can share one PostgreSQL database and one artifacts folder. One leads and listens; the others stand \
+    by, and one of them takes over within seconds if the leader dies, freezes or loses the database. Give workers and clients \
+    all addresses: --join http://one:7878,http://two:7878. The password can come from PGPASSWORD or ~/.pgpass. All tables are \
+    in the schema femc, which is created if it does not exist.")]
 pub struct CoordinatorArgs {
     /// Address and port to listen on
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7878")]
@@ -151,7 +151,9 @@ fn artifacts(text: &str) -> Result<Artifacts, String> {
         None => Ok(Artifacts::Folder(PathBuf::from(text))),
         Some(("file", path)) => Ok(Artifacts::Folder(PathBuf::from(path))),
         Some(("s3", _)) => Ok(Artifacts::S3(text.to_owned())),
-        Some((scheme, _)) => Err(format!("{scheme}:// is not there yet; give a folder, s3://BUCKET/PREFIX, or memory")),
+        Some((scheme, _)) => {
+            Err(format!("{scheme}:// is not supported yet; give a folder, s3://BUCKET/PREFIX, or memory"))
+        }
     }
 }
 
@@ -172,7 +174,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     let log = match args.store {
         Log::Postgres { .. } if args.artifacts == Artifacts::Memory => {
             return Err(usage(
-                "--artifacts memory: the coordinators on one database share a folder; give --artifacts DIR",
+                "--artifacts memory: coordinators on one database must share a folder; give --artifacts DIR",
             ));
         }
         Log::Postgres { database, .. } => Log::Postgres { database, silence: args.silence },
@@ -181,7 +183,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     let entrance = entrance(args.identity.as_deref(), args.revoked, args.token_file.as_deref())?;
     if args.token_file.is_some() && args.identity.is_none() && !args.listen.ip().is_loopback() {
         return Err(usage(format!(
-            "--token-file: {} can be reached from other machines, and tokens would cross the network for all to read; give \
+            "--token-file: {} is reachable from other machines, and tokens would cross the network unencrypted; give \
              --identity (`femc ca --help`)",
             args.listen
         )));
@@ -191,7 +193,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     let exposure = if args.insecure { Exposure::Anybody } else { Exposure::Loopback };
     if args.insecure && !args.listen.ip().is_loopback() {
         say.warning(format!(
-            "{} can be reached from other machines; whoever reaches it can submit jobs and read images",
+            "{} is reachable from other machines; everybody who can reach it can submit jobs and read images",
             args.listen
         ));
     }
@@ -234,7 +236,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
             }
         }
         coordinator.stop().await.map_err(|e| map_coordinator_error(&e))?;
-        say.note("stopped; start it again with the same --store and --artifacts to go on");
+        say.note("stopped; start it again with the same --store and --artifacts to resume");
         Ok(Exit::Done)
     })
 }
@@ -260,7 +262,7 @@ fn entrance(
     let revoked = revoked.map(Revoked::open).transpose().map_err(|error| failed(format!("--revoked: {error}")))?;
     let tokens = tokens.map(Tokens::open).transpose().map_err(|error| {
         failed(format!(
-            "--token-file: {error}; `femc ca token` makes tokens, and the file `tokens` beside the authority"
+            "--token-file: {error}; `femc ca token` makes tokens and the file `tokens` in the authority's folder"
         ))
     })?;
     let is_open = identity.is_none() && tokens.is_none();
@@ -271,7 +273,7 @@ fn entrance(
 fn own(path: &Path) -> Result<Identity, Failure> {
     let identity = crate::args::identity(path)?;
     if !matches!(identity.holder(), Holder::Coordinator { .. }) {
-        let what = "is no coordinator's; make one with `femc ca issue coordinator NAME`";
+        let what = "is not for a coordinator; issue one with `femc ca issue coordinator NAME`";
         return Err(failed(format!("--identity {}: the identity of {} {what}", path.display(), identity.holder())));
     }
     Ok(identity)
@@ -291,8 +293,8 @@ fn audit(asked: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
 fn browser_warning(identity: &Identity) -> Option<String> {
     let fingerprint = browser_fingerprint(identity.authority()).ok()?;
     Some(format!(
-        "browsers warn of an unknown authority until the authority's certificate is imported there: `femc ca export` writes that \
-         file, which has no key; its SHA-256 fingerprint is {fingerprint}"
+        "browsers warn about an unknown authority until its certificate is imported: `femc ca export` writes the certificate, \
+         without a key; its SHA-256 fingerprint is {fingerprint}"
     ))
 }
 
@@ -307,7 +309,7 @@ fn tell(say: Say, standing: &Standing, url: &str, warning: Option<&str>) {
         }
         Standing::StandsBy { leader: Some(leader) } => say.note(format!("standing by; {leader} leads")),
         Standing::StandsBy { leader: None } => {}
-        Standing::Seeks { message } => say.warning(format!("{message}; trying again until it is back")),
+        Standing::Seeks { message } => say.warning(format!("{message}; retrying until it is back")),
     }
 }
 
@@ -315,29 +317,29 @@ fn map_coordinator_error(error: &CoordinatorError) -> Failure {
     match error {
         CoordinatorError::Listen { .. } => failed(format!("--listen: {error}; give another address or port")),
         CoordinatorError::Exposed { .. } => {
-            usage(format!("--listen: {error}; use 127.0.0.1, or give --identity (`femc ca --help`), or say --insecure"))
+            usage(format!("--listen: {error}; use 127.0.0.1, or give --identity (`femc ca --help`) or --insecure"))
         }
         CoordinatorError::Queue(QueueError::Away { .. }) => {
-            failed(format!("--store: {error}; is PostgreSQL running there, and does it listen on that port?"))
+            failed(format!("--store: {error}; check that PostgreSQL runs there and listens on that port"))
         }
         CoordinatorError::Queue(QueueError::Rejected { .. }) => {
             failed(format!("--store: {error}; check user, password (PGPASSWORD, ~/.pgpass) and database"))
         }
         CoordinatorError::Queue(QueueError::ForeignTables { .. }) => {
-            failed(format!("--store: {error}; it is left as it is: give another database"))
+            failed(format!("--store: {error}; nothing was changed: give another database"))
         }
         CoordinatorError::Queue(QueueError::Lost { .. } | QueueError::Unsure { .. } | QueueError::Damaged { .. }) => {
             failed(format!(
-                "--store: {error}; nothing was changed: restore a copy (`femc backup --help`), or go on with what is there: \
+                "--store: {error}; nothing was changed: restore a copy (`femc backup --help`), or continue with the remaining records: \
                  --accept-loss"
             ))
         }
         CoordinatorError::Queue(QueueError::DamagedSnapshot) => {
             failed(format!("--store: {error}; nothing was changed: restore a copy (`femc backup --help`)"))
         }
-        CoordinatorError::Queue(QueueError::Full { .. }) => {
-            failed(format!("--store: {error}; what was acknowledged is there: make room, and start it again"))
-        }
+        CoordinatorError::Queue(QueueError::Full { .. }) => failed(format!(
+            "--store: {error}; all acknowledged records are kept: free disk space and start the coordinator again"
+        )),
         CoordinatorError::Queue(_) | CoordinatorError::Ledger(_) => failed(format!("--store: {error}")),
         CoordinatorError::Store(_) => failed(format!("--artifacts: {error}")),
         CoordinatorError::Serve(_) | CoordinatorError::Panicked => failed(error),
@@ -368,6 +370,6 @@ mod tests {
         assert!(["ann", "ann=0", "=3", "ann=-1", "ann=many"].iter().all(|text| share(text).is_err()));
         assert_eq!(artifacts("a/b"), Ok(Artifacts::Folder("a/b".into())));
         assert_eq!(artifacts("s3://bucket/prefix"), Ok(Artifacts::S3("s3://bucket/prefix".into())));
-        assert!(artifacts("gs://bucket/prefix").is_err_and(|error| error.contains("not there yet")));
+        assert!(artifacts("gs://bucket/prefix").is_err_and(|error| error.contains("not supported yet")));
     }
 }

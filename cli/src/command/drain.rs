@@ -12,9 +12,9 @@ use femc_model::{Drain, WorkerId, WorkerName};
 #[command(after_help = "Examples:\n  \
     femc drain 3\n  \
     femc drain lab-7             # every worker of this name\n  \
-    femc drain lab-7 --undo      # tasks again\n\n\
-    A drain lasts as long as the worker's process, also when it loses its coordinator or the coordinator starts again. \
-    `femc workers` shows who drains and what is still being done there.")]
+    femc drain lab-7 --undo      # let it take tasks again\n\n\
+    A drain lasts until the worker's process ends, even if the worker loses its coordinator or the coordinator restarts. \
+    `femc workers` shows which workers are draining, and their running tasks.")]
 pub struct DrainArgs {
     /// Worker number or name, as shown by `femc workers`
     #[arg(value_name = "WORKER")]
@@ -36,7 +36,7 @@ pub fn run(args: &DrainArgs, say: Say) -> Result<Exit, Failure> {
     let workers = client::block_on(&args.server, async |farm| farm.drain(worker, drain).await)?;
     for worker in workers {
         say.note(match drain {
-            Drain::Begin => format!("worker {worker} gets no more tasks; `femc drain {worker} --undo` ends that"),
+            Drain::Begin => format!("worker {worker} gets no new tasks; `femc drain {worker} --undo` ends the drain"),
             Drain::Undo => format!("worker {worker} gets tasks again"),
         });
     }

@@ -71,7 +71,7 @@ impl Embedded {
         let page = format!("{}/", self.coordinator.url());
         if site().files.is_empty() {
             say.warning(format!(
-                "--watch: this femc was built without its page; {page}api/v1/feed has the same as JSON"
+                "--watch: this femc was built without its web page; {page}api/v1/feed has the same data as JSON"
             ));
             return;
         }
@@ -83,7 +83,7 @@ impl Embedded {
             browser.arg(&page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
             // The browser runs independently; the address is valid in any case.
             if let Err(error) = browser.spawn() {
-                tracing::debug!(%error, opener, "no browser was opened");
+                tracing::debug!(%error, opener, "cannot open a browser");
             }
         }
     }
@@ -105,11 +105,11 @@ impl Embedded {
         drop(self.stop);
         while let Some(worker) = self.workers.join_next().await {
             if let Ok(Err(error)) = worker {
-                tracing::warn!(%error, "a worker ended badly");
+                tracing::warn!(%error, "a worker ended with an error");
             }
         }
         if let Err(error) = self.coordinator.stop().await {
-            tracing::warn!(%error, "the coordinator ended badly");
+            tracing::warn!(%error, "the coordinator ended with an error");
         }
     }
 }

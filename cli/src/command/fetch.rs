@@ -18,11 +18,11 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc fetch 7 -o drive\n  \
-    femc fetch 7 -o drive --partial    # also what there is of the frames in work\n  \
-    femc fetch 7 -o drive --wait       # when the job has ended\n  \
+    femc fetch 7 -o drive --partial    # also unfinished frames\n  \
+    femc fetch 7 -o drive --wait       # wait until the job has ended\n  \
     femc watch 7; femc fetch 7 -o drive --json | jq -r '.files[]'\n\n\
-    Files that are there already are not fetched again. A frame whose image the farm's store has damaged or lost is named; it is\n  \
-    rendered again, in a job that has failed or was cancelled after `femc retry`. The exit code is 1 while frames are missing.")]
+    Existing files are not fetched again. A frame whose image is damaged or missing in the farm's store is reported and rendered\n  \
+    again; if the job has failed or was cancelled, only after `femc retry`. The exit code is 1 while frames are missing.")]
 pub struct FetchArgs {
     /// Job number, as printed by `submit`
     #[arg(value_name = "JOB")]
@@ -74,7 +74,10 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
     let (status, files, partial, shown, lost) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
         if !JobSpec::names_files(&status.name) {
-            return Err(failed(format!("job {} is called {:?}, and files cannot be called so", args.job, status.name)));
+            return Err(failed(format!(
+                "job {} is named {:?}, which cannot be part of a file name",
+                args.job, status.name
+            )));
         }
         let status = if args.wait { ended(args, farm, say).await? } else { status };
         let (mut files, mut lost) = (Vec::new(), Vec::new());
@@ -96,7 +99,7 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         for &frame in &lost {
             let name = frame_name(&status.name, frame);
             say.warning(format!(
-                "frame {frame} of job {} ({name}): its image was damaged in the farm's store, or is gone; {}",
+                "frame {frame} of job {} ({name}): its image is damaged or missing in the farm's store; {}",
                 args.job,
                 what_follows(&status)
             ));
@@ -123,11 +126,11 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         say.result(format!("{frames} in {}", args.out.display()));
         shown.contact_sheet.iter().for_each(|path| say.result(format!("contact sheet: {path}")));
         shown.video.iter().for_each(|path| say.result(format!("clip: {path}")));
-        partial.iter().for_each(|path| say.result(format!("in work: {}", path.display())));
+        partial.iter().for_each(|path| say.result(format!("partial: {}", path.display())));
     }
     if files.len() < status.frames_total as usize {
         return Err(failed(format!(
-            "{} of {} frames are finished, job {} is {}; fetch again later, what is here stays",
+            "{} of {} frames are finished, job {} is {}; fetch again later: fetched files are kept",
             files.len(),
             status.frames_total,
             args.job,
@@ -137,7 +140,7 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
     if shown.missing > 0 {
         let what = human::count(shown.missing, "picture or clip");
         return Err(failed(format!(
-            "{what} of job {} cannot be had yet; fetch again later, what is here stays",
+            "{what} of job {} cannot be fetched yet; fetch again later: fetched files are kept",
             args.job
         )));
     }
@@ -198,7 +201,7 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
         if !is_there {
             shown.missing += 1;
             if found.is_some() {
-                say.warning(format!("{name} was damaged in the farm's store, or is gone; {}", what_follows(job)));
+                say.warning(format!("{name} is damaged or missing in the farm's store; {}", what_follows(job)));
             }
             continue;
         }

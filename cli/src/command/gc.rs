@@ -73,6 +73,6 @@ pub fn run(args: &GcArgs, say: Say) -> Result<Exit, Failure> {
         CollectMode::Remove => "removed",
     };
     say.result(format!("{what}: {}", volume_text(garbage)));
-    say.note(format!("kept: {} that jobs refer to; {} too young to tell", volume_text(referenced), volume_text(young)));
+    say.note(format!("kept: {} in use by jobs; {} younger than --grace", volume_text(referenced), volume_text(young)));
     Ok(Exit::Done)
 }

@@ -13,7 +13,7 @@ impl Interrupt {
     /// Starts listening for signals. Must be called in a tokio runtime.
     pub fn listen() -> Result<Self, Failure> {
         let (sender, stopped) = watch::channel(false);
-        let mut signals = Signals::new().map_err(|e| failed(format!("signals cannot be listened to: {e}")))?;
+        let mut signals = Signals::new().map_err(|e| failed(format!("cannot listen for signals: {e}")))?;
         tokio::spawn(async move {
             signals.next().await;
             // The receiver is gone if the command is about to end.

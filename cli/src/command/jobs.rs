@@ -43,7 +43,7 @@ pub fn run(args: &JobsArgs, say: Say) -> Result<Exit, Failure> {
     if args.format.json {
         json::print(say, &jobs.iter().map(JobJson::from).collect::<Vec<_>>())?;
     } else if jobs.is_empty() && has_any {
-        say.note("no job of this owner, name and state");
+        say.note("no job with this owner, name and state");
     } else if jobs.is_empty() {
         say.note("no jobs; queue one with `femc submit SCENE`");
     } else {

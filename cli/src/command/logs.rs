@@ -15,17 +15,17 @@ use std::time::Duration;
 /// Print the logs of a job's tasks, the newest last
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc logs 7                      # every attempt whose log is kept\n  \
-    femc logs 7 12                   # those of frame 12\n  \
-    femc logs 7 12.0/image           # its image tasks\n  \
-    femc logs 7/12.0/render.0/3      # one task, as the logs, `femc stats` and `femc status` name it\n  \
+    femc logs 7                      # every attempt with a stored log\n  \
+    femc logs 7 12                   # attempts of frame 12\n  \
+    femc logs 7 12.0/image           # image tasks of frame 12\n  \
+    femc logs 7/12.0/render.0/3      # one task, named as in logs, `femc stats` and `femc status`\n  \
     femc logs 7 --failed             # failures only\n  \
-    femc logs 7 --follow             # go on until the job ends\n  \
+    femc logs 7 --follow             # continue until the job ends\n  \
     femc logs 7 --json | jq -r '.[] | select(.attempt == \"failed\") | .text'\n\n\
-    Logs of failures, of image tasks and of first passes are kept with the job, 512 at most; those of tiles that went well are short, and the \
-    latest of all jobs are kept in the coordinator's memory. A task is named by its job, its frame (0: the job's own stages) and \
-    round, the kind and number of its stage (as in `femc plan`) and its number in the stage. What jobs share is named shared-3; \
-    its logs are shown with each of them.")]
+    At most 512 logs are kept with a job: those of failures, of image tasks and of first passes. Logs of successful tiles are \
+    short, and only the latest ones of all jobs are kept, in the coordinator's memory. The name of a task consists of its job, \
+    its frame (0: stages of the whole job) and round, the kind and number of its stage (as in `femc plan`), and its number in \
+    the stage. Results that jobs share have names like shared-3; their logs are shown with each of these jobs.")]
 pub struct LogsArgs {
     /// Job number, or a task with its job, like 7/12.0/render.0/3
     #[arg(value_name = "JOB")]
@@ -66,7 +66,7 @@ pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {
             }
             tokio::select! {
                 () = tokio::time::sleep(EVERY) => {}
-                () = interrupt.wait() => return Err(interrupted("no longer following; the job goes on")),
+                () = interrupt.wait() => return Err(interrupted("stopped following; the job continues")),
             }
         }
     })
@@ -117,7 +117,7 @@ async fn show(args: &LogsArgs, farm: &Farm, records: &[LogRecord], say: Say) -> 
         say.note("no attempt of this job has a log yet");
     } else if !args.follow && !records.iter().any(|record| wanted(&record)) {
         let others = human::count(records.len() as u64, "log");
-        say.note(format!("no attempt that is asked for has a log; the job has {others} of other attempts"));
+        say.note(format!("no requested attempt has a log; the job has {others} of other attempts"));
     }
     Ok(())
 }

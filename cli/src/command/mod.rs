@@ -54,13 +54,13 @@ use femc_model::Control;
 #[command(
     name = "femc",
     version,
-    about = "A physically based render farm: foggy scenes to frames, exactly",
+    about = "A render farm for physically based light",
     after_help = "Examples:\n  \
         femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
         femc render scenes/roundabout.mgf --frames 1..24 --size 160x90 --spp 8 -o drive --video drive.mp4\n  \
         femc coordinator & femc worker --join http://127.0.0.1:7878 & femc submit scene.mgf\n\n\
         Exit codes: 0 done, 1 the work failed or a check found a fault, 2 wrong usage, \
-        3 interrupted (the same command goes on), 4 the server could not be reached.",
+        3 interrupted (rerun the command to resume), 4 cannot reach the server.",
     arg_required_else_help = true,
     infer_subcommands = false
 )]
@@ -116,12 +116,12 @@ pub enum Command {
     Cancel(control::JobsArgs),
     /// Retry failed tasks of jobs, or the unfinished tasks of cancelled jobs
     #[command(after_help = "Examples:\n  femc retry 7\n  femc retry 7 --frames 3,7..9\n\n\
-        Of a job that is done, and of the frames that are named, the images are read: frames whose image is damaged or gone are\n\
+        The images of jobs that are done, and of frames given with --frames, are read: frames whose image is damaged or missing are\n\
         rendered again.")]
     Retry(control::RetryArgs),
     /// Delete jobs that have ended, with their frames and logs
     #[command(after_help = "Examples:\n  femc delete 7\n  femc delete --owner ann --name 'test-*'\n\n\
-        What no other job refers to is removed from the store later (`femc gc`). `femc usage` keeps its sums.")]
+        `femc gc` later removes files that no other job uses. `femc usage` still counts deleted jobs.")]
     Delete(control::JobsArgs),
     /// Change a job's priority
     Priority(control::PriorityArgs),

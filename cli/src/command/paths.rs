@@ -18,26 +18,26 @@ use std::path::PathBuf;
 /// List light paths of frames: their intersections, and the light that they found
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc paths box.paths                                        # what there is\n  \
+    femc paths box.paths                                        # the recorded paths\n  \
     femc paths box.paths --where 'radiance.g > 2 and bounce == 2 and interaction == reflection'\n  \
     femc paths box.paths --object room.plant --then room.wall --table intersections --csv\n  \
     femc paths box.paths --where 'occluder == door' --in 0,0,0,1,1,2.5 --json | jq length\n  \
-    femc paths box.paths --in room.plant --table intersections  # in the box of what paths have met of the plant\n  \
-    femc paths box.paths --rarest 100                           # paths with what few others have\n  \
-    femc paths fog/*/*.paths --table voxels --parquet fog.parquet      # one box for all, so that voxels can be compared\n  \
-    femc paths new.paths --table voxels --minus old.paths       # where light has become more, and less\n  \
-    femc paths drive --out drive.paths                          # all frames in a folder: one pool, one set of answers\n  \
-    femc paths drive.paths --few 5000                           # paths that stand for the whole clip\n  \
+    femc paths box.paths --in room.plant --table intersections  # in the box of the intersections with the plant\n  \
+    femc paths box.paths --rarest 100                           # paths with rare attributes\n  \
+    femc paths fog/*/*.paths --table voxels --parquet fog.parquet      # one box for all frames, for comparable voxels\n  \
+    femc paths new.paths --table voxels --minus old.paths       # where light has increased and decreased\n  \
+    femc paths drive --out drive.paths                          # combine all frames in a folder\n  \
+    femc paths drive.paths --few 5000                           # representative paths of the whole clip\n  \
     femc paths box.paths --few 5000 --parquet few.parquet && python3 -c \\\n    \
     \"import pandas; print(pandas.read_parquet('few.parquet').radiance_g.describe())\"\n  \
     femc paths box.paths --table pairs --parquet pairs.parquet\n\n\
-    A condition is asked of every intersection of a path: bounce, position.x .y .z, radiance.r .g .b, throughput.r .g .b, \
-    object, material, interaction (absorbed, emission, diffuse, glossy, reflection, refraction, straight, volume); of the lights that \
-    were looked for there: light, light.radiance.r .g .b, occluder, found; of the path: path.radiance.r .g .b, path.throughput.r .g .b, \
-    depth, pixel.x, pixel.y, sample, end (escaped, absorbed, roulette, depth, field). == != < <= > >= and or not ( ). An object is \
-    also all that is in it.\n\n\
-    The paths are a fair subset of all samples, by hashes of their numbers; the share is said. --brightest and --deepest are those of \
-    greatest radiance, and of greatest throughput after 8 intersections or more, of all samples.")]
+    A condition applies to an intersection of a path. Fields of the intersection: bounce, position.x .y .z, radiance.r .g .b, \
+    throughput.r .g .b, object, material, interaction (absorbed, emission, diffuse, glossy, reflection, refraction, straight, \
+    volume). Fields of the lights that were sampled there: light, light.radiance.r .g .b, occluder, found. Fields of the path: \
+    path.radiance.r .g .b, path.throughput.r .g .b, depth, pixel.x, pixel.y, sample, end (escaped, absorbed, roulette, depth, \
+    field). Operators: == != < <= > >= and or not ( ). The name of an object includes all objects in it.\n\n\
+    The recorded paths are a fair subset of all samples, selected by hashes of their numbers; their share is printed. --brightest \
+    and --deepest query the paths of greatest radiance, and of greatest throughput after 8 or more intersections, of all samples.")]
 pub struct PathsArgs {
     /// Statistics files (.paths) of the frames, or folders of such files
     #[arg(value_name = "FRAME.paths|FOLDER", required = true)]
@@ -123,7 +123,7 @@ pub fn run(args: &PathsArgs, say: Say) -> Result<Exit, Failure> {
     }
     let minus = args.minus.as_deref().map(light::read).transpose()?;
     if minus.is_some() && (args.table != Table::Voxels || units.len() > 1) {
-        return Err(usage("--minus: with --table voxels, and one file; --union takes several as one"));
+        return Err(usage("--minus: give --table voxels and one file; --union combines several files"));
     }
     let query = query(args, &units)?;
     let found: Vec<Frame<'_>> = units.iter().flat_map(|unit| found(args, unit, &query, say)).collect();
@@ -195,7 +195,7 @@ fn known(object: &str, all: &[Unit]) -> Result<(), Failure> {
     let more = if known.len() > some.len() { ", ..." } else { "" };
     let files: Vec<&str> = all.iter().map(|unit| unit.file.as_str()).collect();
     Err(usage(format!(
-        "no path of {} has come to an object {object:?}; known are {}{more}",
+        "no path of {} intersects an object {object:?}; known objects: {}{more}",
         files.join(", "),
         some.join(", ")
     )))
@@ -211,7 +211,7 @@ fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
         Err(_) if within.starts_with(char::is_alphabetic) || within.starts_with('_') => {}
         _ => {
             return Err(usage(
-                "--in: six numbers: the lower corner of the box, then the upper one; or an object's name",
+                "--in: give six numbers, the lower corner of the box and then the upper corner, or the name of an object",
             ));
         }
     }
@@ -228,7 +228,7 @@ fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
         }
     }
     if low[0] > high[0] {
-        return Err(usage(format!("--in: no recorded path has come to {within:?}; give the corners of its box")));
+        return Err(usage(format!("--in: no recorded path intersects {within:?}; give the corners of its box")));
     }
     Ok([low, high])
 }
@@ -273,8 +273,8 @@ fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<F
 /// Prints how many paths match, and how many there are.
 fn note(args: &PathsArgs, unit: &Unit, (count, of): (usize, usize), say: Say) {
     let what = match (args.brightest, args.deepest) {
-        (true, _) => "of the brightest",
-        (_, true) => "of the deepest",
+        (true, _) => "brightest",
+        (_, true) => "deepest",
         _ => "recorded",
     };
     let is_fair = !args.brightest && !args.deepest && args.few.is_none() && args.rarest.is_none();
@@ -288,7 +288,7 @@ fn note(args: &PathsArgs, unit: &Unit, (count, of): (usize, usize), say: Say) {
     };
     let frames = if unit.frames.len() == 1 { String::new() } else { format!(" of {} frames", unit.frames.len()) };
     say.note(format!(
-        "{count} of {of} paths {what}{about}; {} % of {} samples{frames} are recorded",
+        "{count} of {of} {what} paths{about}; {} % of {} samples{frames} are recorded",
         words::number(100.0 * share),
         words::quantity(samples as f64)
     ));
@@ -307,7 +307,7 @@ fn representatives(unit: &Unit, few: usize, say: Say) -> Vec<(u32, Option<f64>)>
     let own: Vec<Bins> = candidates.iter().map(|number| bins[*number as usize]).collect();
     let found = representative(&own, &Target::of(&bins), few);
     say.note(format!(
-        "{} paths stand for {}: D = {:.4}, DJ = {:.3}; by their weights worth {:.0} of equal weight",
+        "{} paths represent {}: D = {:.4}, DJ = {:.3}; their weights make them equivalent to {:.0} paths of equal weight",
         found.chosen.len(),
         bins.len(),
         found.distance.single,

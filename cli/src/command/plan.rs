@@ -25,7 +25,7 @@ use std::time::Duration;
 #[command(after_help = "Examples:\n  \
     femc plan scenes/roundabout.mgf --frames 1..24 --spp 64\n  \
     femc plan scene.mgf --json | jq .tasks\n  \
-    femc plan fog.toml    # of a job with a [sweep]: what its variants share\n\n\
+    femc plan fog.toml    # for a job with a [sweep]: what its variants share\n\n\
     The cost is measured by a short trial on this machine; with --no-trial nothing is rendered.")]
 pub struct PlanArgs {
     /// Scene file, or JOB.toml
@@ -268,7 +268,7 @@ fn print(say: Say, report: &Report) {
     say.result(format!("\n{}", table(&report.graph)));
     let spp = match (report.stop, report.rounds.as_slice()) {
         (Stop::Spp(n), _) => format!("{n} samples a pixel"),
-        (Stop::Time(s), _) => format!("as many samples as {} a frame allow", human::seconds(s)),
+        (Stop::Time(s), _) => format!("as many samples as a time of {} per frame allows", human::seconds(s)),
         (Stop::Error(e), [first, .., last]) => {
             let (rounds, error) = (report.rounds.len(), human::percent(e));
             format!(
@@ -282,10 +282,10 @@ fn print(say: Say, report: &Report) {
     say.result(format!("{}{every}", human::count(report.tasks, "task")));
     match report.worlds {
         _ if frames.len() < 2 => {}
-        1 => say.result("all frames are of one world: nothing changes but the view"),
-        worlds if worlds == frames.len() => say.result("every frame is of a world of its own"),
+        1 => say.result("all frames share one world: only the view changes"),
+        worlds if worlds == frames.len() => say.result("every frame has its own world"),
         worlds => {
-            say.result(format!("the frames are of {worlds} worlds; among those of one, nothing changes but the view"));
+            say.result(format!("the frames have {worlds} worlds; between frames of one world, only the view changes"));
         }
     }
     if let Some(Choice { method: femc_pipeline::Method::Femc, reason, .. }) = &report.choice {
@@ -295,13 +295,13 @@ fn print(say: Say, report: &Report) {
         say.result(match (report.first_passes, frames.len()) {
             (1, 1) => "the first pass is solved before the frame's samples".to_owned(),
             (1, all) => format!("the first pass is solved once, and all {all} frames share it"),
-            (solutions, all) if solutions == all => "every frame has a first pass of its own".to_owned(),
+            (solutions, all) if solutions == all => "every frame has its own first pass".to_owned(),
             (solutions, all) => format!("the first pass is solved {solutions} times, and {all} frames share them"),
         });
         let surfaces = human::count(report.surfaces, "surface");
         say.result(match report.first_pass_blocks {
-            1 => format!("it is one task: for {surfaces}, blocks would cost more than they save"),
-            blocks => format!("its rays and guides are made in {blocks} blocks, by the scene's {surfaces}"),
+            1 => format!("the first pass is one task: for {surfaces}, blocks would cost more than they save"),
+            blocks => format!("its rays and guides are computed in {blocks} blocks, because the scene has {surfaces}"),
         });
     }
     if let Some(cost) = &report.cost {
@@ -359,13 +359,13 @@ fn far(reach: Reach) -> String {
         Reach::All => "all".to_owned(),
         Reach::Same => "its own".to_owned(),
         Reach::Fan(tasks) => format!("{tasks} each"),
-        Reach::Previous => "the one before".to_owned(),
+        Reach::Previous => "previous".to_owned(),
     }
 }
 
-/// Returns text like `numbers of 0 (all of the frame before if there)`.
+/// Returns text like `numbers of 0 (all of the previous frame, if present)`.
 fn seen(hint: &Hint) -> String {
-    format!("{} of {} ({} of the frame before if there)", hint.role.name(), hint.stage, far(hint.reach))
+    format!("{} of {} ({} of the previous frame, if present)", hint.role.name(), hint.stage, far(hint.reach))
 }
 
 /// Returns text like `tile of 0 (64 each)`.
@@ -373,10 +373,10 @@ fn read(need: &Need) -> String {
     let reach = far(need.reach);
     let round = match need.round {
         Round::Same => "",
-        Round::Before => " of the round before",
+        Round::Before => " of the previous round",
         Round::Every => " of every round",
     };
-    let gaps = if need.gaps { " that can be had" } else { "" };
+    let gaps = if need.gaps { ", if available" } else { "" };
     format!("{} of {} ({reach}{round}{gaps})", need.role.name(), need.stage)
 }
 

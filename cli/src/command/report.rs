@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc report 7 -o report.html\n  \
-    femc report fog                            # of the sweep in the folder fog, without a farm\n  \
+    femc report fog                            # the sweep in the folder fog, without a farm\n  \
     femc watch 7 && femc report 7 && xdg-open job-7.html\n  \
-    femc report box.paths                      # maps and histograms of the light of a frame: box.html\n\n\
-    One file that opens without a network. The numbers behind it: `femc stats`; of light: `femc paths` and `femc bottlenecks`.")]
+    femc report box.paths                      # box.html: maps and histograms of a frame's light\n\n\
+    The page is one file and needs no network. `femc stats` prints its numbers; `femc paths` and `femc bottlenecks` those of light.")]
 pub struct ReportArgs {
     /// Job numbers, or folders of sweeps that have ended; or light statistics (.paths) of frames
     #[arg(value_name = "JOB|DIR|FRAME.paths", required = true)]
@@ -61,10 +61,10 @@ fn light_files(subjects: &[Subject]) -> Result<Option<Vec<PathBuf>>, Failure> {
     match files.len() {
         0 => Ok(None),
         count if count < subjects.len() => {
-            Err(usage("a page is about jobs and sweeps, or about the light of frames (FRAME.paths): not both"))
+            Err(usage("a page shows either jobs and sweeps, or the light of frames (FRAME.paths)"))
         }
         count if count > light::FILES => Err(usage(format!(
-            "{count} files: a page shows at most {}; `femc bottlenecks` takes them all",
+            "{count} files: a page shows at most {}; `femc bottlenecks` accepts all of them",
             light::FILES
         ))),
         _ => Ok(Some(files)),
@@ -85,7 +85,7 @@ fn light_page(args: &ReportArgs, files: &[PathBuf], say: Say) -> Result<Exit, Fa
     }
     if frames.len() > light::FILES {
         return Err(usage(format!(
-            "{} frames: a page shows at most {}; `femc bottlenecks` takes them all",
+            "{} frames: a page shows at most {}; `femc bottlenecks` accepts all of them",
             frames.len(),
             light::FILES
         )));

@@ -11,20 +11,19 @@ use std::path::PathBuf;
 /// Print the usage of jobs' tasks: time, processor, memory, samples, rays, bytes
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc stats 7                              # a line a frame\n  \
-    femc stats 7 --by worker                  # who did how much\n  \
-    femc stats 7 --by attempt --csv > 7.csv   # every attempt at every task, failed and abandoned ones too\n  \
+    femc stats 7                              # one line per frame\n  \
+    femc stats 7 --by worker                  # the work of each worker\n  \
+    femc stats 7 --by attempt --csv > 7.csv   # every attempt, including failed and abandoned ones\n  \
     femc stats 7 --by task --parquet 7.parquet && python3 -c \\\n    \
     \"import pandas; print(pandas.read_parquet('7.parquet').groupby('worker').cpu_seconds.sum())\"\n  \
-    femc stats fog --by variant               # of the sweep in the folder fog, without a farm\n  \
-    femc stats 7 8 9 --by variant             # of several jobs\n  \
-    femc stats shared-1                       # of what jobs share, like a first pass: `femc logs 7` names it\n  \
+    femc stats fog --by variant               # the sweep in the folder fog, without a farm\n  \
+    femc stats 7 8 9 --by variant             # several jobs\n  \
+    femc stats shared-1                       # a result that jobs share, like a first pass; `femc logs 7` shows its name\n  \
     femc stats 7 --json | jq '[.[].cpu_seconds] | add'\n\n\
-    An attempt is a lease under which work was begun; it ended done, failed, cancelled (given back, or its job had ended), \
-    revoked (it ran out, or another worker was the first) or lost (its worker was gone, and nobody knows what it used). \
-    CPU is the time of the worker's process while it had the task, shared among what it did at the same time; memory is \
-    the most that the process had meanwhile. Seconds of `began` and `ended` count from the first attempt, by the \
-    coordinator's clock.")]
+    An attempt is a lease under which work began. It ended done, failed, cancelled (given back, or its job had ended), revoked \
+    (it expired, or another worker finished first) or lost (the worker disappeared, and its usage is unknown). CPU is the time \
+    of the worker's process during the task, divided among the tasks that ran at the same time; memory is the peak of the \
+    process during the task. `began` and `ended` are seconds since the first attempt, by the coordinator's clock.")]
 pub struct StatsArgs {
     /// Job numbers, or folders of sweeps that have ended
     #[arg(value_name = "JOB|DIR", required = true)]

@@ -70,7 +70,7 @@ pub fn run(args: &StatusArgs, say: Say) -> Result<Exit, Failure> {
     }
     if args.why {
         if job.waits.is_empty() {
-            say.result("nothing of it waits");
+            say.result("nothing is waiting");
         }
         for reason in &job.waits {
             say.result(format!("waits: {}", wait(&job, reason)));

@@ -21,11 +21,12 @@ use std::path::PathBuf;
     femc submit scenes/roundabout.mgf --frames 1..120 --size 192x108 --spp 24\n  \
     femc submit job.toml --priority 80\n  \
     femc submit scene.mgf --frames 1,5,9 --name draft --comment 'before the change of lamps' --label shot=12\n  \
-    femc submit scenes/roundabout.mgf --frames 1..48 --style oil    # `femc fetch` gets FRAME.painted.png, too\n  \
-    femc submit scenes/roundabout.mgf --frames 1..48 --video drive.mp4 --contact-sheet drive.png    # `femc fetch` gets them, too\n  \
+    femc submit scenes/roundabout.mgf --frames 1..48 --style oil    # `femc fetch` also gets FRAME.painted.png\n  \
+    femc submit scenes/roundabout.mgf --frames 1..48 --video drive.mp4 --contact-sheet drive.png    # `femc fetch` also gets them\n  \
     job=$(femc submit scene.mgf | tail -1); femc watch $job && femc fetch $job -o out\n\n\
-    A clip is made by a worker that has ffmpeg (its tag says so), or, as .png or .gif, by any. A frame that fails is a gray card in it.\n\n\
-    A farm's workers have their own threads: --workers and --threads change nothing here.")]
+    Any worker makes clips in .png or .gif; other formats need a worker with ffmpeg (and so the tag ffmpeg). A failed frame is a \
+    gray card in the clip.\n\n\
+    On a farm, workers have their own threads: --workers and --threads have no effect.")]
 pub struct SubmitArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE|JOB.toml")]
@@ -97,7 +98,7 @@ pub fn run(mut args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
         && wanted != *owner
     {
         say.warning(format!(
-            "--owner {wanted} is not heeded: this farm knows who submits, and job {job} belongs to {owner}; omit --owner, \
+            "--owner {wanted} is ignored: this farm knows who submits, and job {job} belongs to {owner}; omit --owner, \
              or submit it with {wanted}'s identity"
         ));
     }

@@ -15,10 +15,10 @@ use femc_service::view::usage_columns;
     femc usage                                   # every owner and month\n  \
     femc usage --month 2026-11 --csv > nov.csv   # for the accounts\n  \
     femc usage --owner ann --json | jq '[.[].processor_seconds] | add'\n\n\
-    Months are those of UTC. Worker time is the time in which tasks of the owner's jobs held workers, each moment of a worker \
-    counted once; processor time is that of all attempts, failed ones too. First passes that several owners' jobs share count \
-    for each of them by their weights. Usage stays when jobs are deleted (`femc delete`, `--keep-ended`). A coordinator that was \
-    killed has forgotten up to five seconds of it.")]
+    Months are in UTC. Worker time is the time in which tasks of the owner's jobs occupied workers; each moment of a worker \
+    counts once. Processor time includes all attempts, also failed ones. The cost of a first pass that jobs of several owners \
+    share is split by the owners' weights. Usage remains when jobs are deleted (`femc delete`, `--keep-ended`). A coordinator \
+    that is killed loses up to five seconds of it.")]
 pub struct UsageArgs {
     /// Only this month, YYYY-MM
     #[arg(long, value_name = "YYYY-MM")]
@@ -48,7 +48,7 @@ pub fn run(args: &UsageArgs, say: Say) -> Result<Exit, Failure> {
     } else if args.csv {
         say.result(csv(&columns, &usage));
     } else if usage.is_empty() {
-        say.note("no usage is known of these months and owners");
+        say.note("no usage recorded for these months and owners");
     } else {
         say.result(human(&columns, &usage));
     }

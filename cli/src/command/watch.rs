@@ -21,8 +21,8 @@ use std::time::Duration;
 #[command(after_help = "Examples:\n  \
     femc watch 7\n  \
     femc watch $(femc submit scene.mgf | tail -1) && echo finished\n  \
-    femc watch 7 --preview-to now.png    # a picture of the frame in work, again and again\n\n\
-    Ctrl-C leaves the watch (exit code 3) and not the job.")]
+    femc watch 7 --preview-to now.png    # update a picture of the running frame\n\n\
+    Ctrl-C ends the watch (exit code 3); the job continues.")]
 pub struct WatchArgs {
     /// Job number, as printed by `submit`
     #[arg(value_name = "JOB")]
@@ -85,7 +85,7 @@ const EVERY: Duration = Duration::from_millis(250);
 pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
     let job = JobId(args.job);
     let last = client::block_on(&args.server, async |farm| {
-        let words = Words { who: "the watch", again: format!("`femc watch {job}` looks again") };
+        let words = Words { who: "the watch", again: format!("`femc watch {job}` resumes the watch") };
         let views = |stage| Views { drawn: args.preview.draws(stage, say), file: args.preview_to.clone() };
         let last = follow(farm, job, &words, args.json.then_some(say), views, say).await?;
         if let Some(file) = &args.preview_to {
@@ -115,7 +115,7 @@ pub(super) async fn follow(
     views: impl FnOnce(Stage) -> Views,
     say: Say,
 ) -> Result<JobStatus, Failure> {
-    let left = || interrupted(format!("job {job} goes on; {}", words.again));
+    let left = || interrupted(format!("job {job} continues; {}", words.again));
     let mut interrupt = Interrupt::listen()?;
     let mut events = Events { say: events, last: None };
     let mut progress = Progress::new(say, Clock);
@@ -130,7 +130,7 @@ pub(super) async fn follow(
             }
             away = Some(gone);
             progress.away(&format!(
-                "the coordinator at {} has been away for {}; {} goes on when it is back, and waits {}",
+                "the coordinator at {} has been away for {}; {} resumes when it is back, and waits up to {}",
                 farm.url(),
                 human::seconds(gone.as_secs_f64()),
                 words.who,
@@ -147,7 +147,7 @@ pub(super) async fn follow(
         };
         if let Some(gone) = away {
             let gone_for = human::seconds(gone.as_secs_f64());
-            progress.back(&format!("the coordinator is back after {gone_for}; {} goes on", words.who));
+            progress.back(&format!("the coordinator is back after {gone_for}; {} resumes", words.who));
             events.back(gone);
         }
         events.status(&status);
@@ -247,7 +247,7 @@ fn ended(args: &WatchArgs, say: Say, job: &JobStatus) -> Result<Exit, Failure> {
             Ok(Exit::Done)
         }
         _ => Err(failed(format!(
-            "job {} has {}: {} of {} frames are finished; `femc status {0}` tells more",
+            "job {} has {}: {} of {} frames are finished; `femc status {0}` shows more",
             job.job,
             if job.state == femc_model::JobState::Cancelled { "been cancelled" } else { "failed" },
             job.frames_done,

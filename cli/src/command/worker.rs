@@ -20,12 +20,13 @@ use std::time::Duration;
 #[command(after_help = "Examples:\n  \
     femc worker --join http://127.0.0.1:7878\n  \
     femc worker --join http://farm:7878 --threads 8 --tags lab,big\n  \
-    femc worker --join http://one:7878,http://two:7878                   # whichever of the two coordinators leads\n  \
+    femc worker --join http://one:7878,http://two:7878                   # two coordinators: connects to the leader\n  \
     femc worker --join http://farm:7878 --nice 10 --memory 8G            # beside other work\n  \
     femc worker --join http://farm:7878 --hours 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'\n  \
     femc worker --join http://farm:7878 --idle-exit 10m                  # on a rented machine\n  \
     femc worker --join http://farm:7878 --cache /var/cache/femc --cache-size 50GiB\n\n\
-    Ctrl-C or SIGTERM lets the worker finish what it is at, for --grace at most, and gives back the rest; a second one ends it at once. A worker that loses its coordinator looks for it until it is back.")]
+    After Ctrl-C or SIGTERM, the worker has --grace to finish its running tasks, and gives back the rest; a second signal ends \
+    it at once. A worker that loses its coordinator reconnects when the coordinator is back.")]
 pub struct WorkerArgs {
     /// URL of the farm's coordinator; several URLs with commas: the one that answers is used
     #[arg(long, value_name = "URL,..", env = "FEMC_SERVER")]
@@ -90,7 +91,7 @@ const LEAST_MEMORY: u64 = 1 << 20;
 fn memory(text: &str) -> Result<Volume, String> {
     let volume: Volume = text.parse().map_err(|error: VolumeError| error.to_string())?;
     if volume.0 < LEAST_MEMORY {
-        return Err(format!("no task would ever fit; give some GiB, {} at least", Volume(LEAST_MEMORY)));
+        return Err(format!("no task would ever fit; give some GiB, at least {}", Volume(LEAST_MEMORY)));
     }
     Ok(volume)
 }
@@ -102,7 +103,7 @@ fn shift(hours: Hours) -> Shift {
 
 /// Runs `femc worker`.
 pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
-    let unknown = || usage("--memory: this system does not tell how much memory a process uses; omit it");
+    let unknown = || usage("--memory: this system does not report how much memory a process uses; omit --memory");
     let memory = args.memory.map(|Volume(bytes)| MemoryLimit::of_process(bytes).ok_or_else(unknown)).transpose()?;
     let dial = args.identity.dial()?;
     let pieces = pieces(args.cache.as_deref(), args.cache_size)?;
@@ -131,7 +132,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
         metrics::show(args.metrics.metrics, move || std::future::ready(counted.report()), say).await?;
         let stop = async move {
             interrupt.wait().await;
-            say.note("stopping after the task that runs; once more to stop at once");
+            say.note("stopping after the running task; signal again to stop at once");
         };
         match Worker::run(config, stop).await {
             Ok(()) => {
@@ -139,7 +140,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
                 Ok(Exit::Done)
             }
             Err(WorkerError::Call(error)) => Err(super::client::map_call_error(error)),
-            Err(error @ WorkerError::Nice { .. }) => Err(failed(format!("--nice: {error}; omit it"))),
+            Err(error @ WorkerError::Nice { .. }) => Err(failed(format!("--nice: {error}; omit --nice"))),
             Err(error @ WorkerError::Threads(_)) => Err(failed(error)),
             Err(error @ WorkerError::Outbox { .. }) => {
                 Err(failed(format!("--{error}; give another folder, or memory")))

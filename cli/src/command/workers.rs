@@ -15,8 +15,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 #[command(after_help = "Examples:\n  \
     femc workers\n  \
     femc workers --json | jq 'map(.threads) | add'\n\n\
-    Intake: open; off (the worker wants no more tasks: it is leaving, or outside its --hours); draining (`femc drain`); offline (it was\n\
-    there, and is not now: silent says for how long).")]
+    Intake: open; off (the worker takes no tasks: it is stopping, or outside of its --hours); draining (`femc drain`); offline (the\n\
+    worker has disconnected; silent shows how long ago).")]
 pub struct WorkersArgs {
     /// Also list former workers in JSON; the table always shows them
     #[arg(long, requires = "json")]

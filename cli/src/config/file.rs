@@ -81,14 +81,14 @@ impl File {
                     let settings = read_table(settings, text, command, service)?;
                     file.services.insert(service, settings);
                 }
-                (Some(service), _) => return Err((start, format!("{service} is a table: write [{service}]"))),
+                (Some(service), _) => return Err((start, format!("{service} must be a table: write [{service}]"))),
                 (None, DeValue::Table(_)) => {
-                    return Err((start, format!("there is no table [{name}]; there are [{}]", SERVICES.join("], ["))));
+                    return Err((start, format!("unknown table [{name}]; known tables: [{}]", SERVICES.join("], ["))));
                 }
                 (None, value_here) => {
                     if !SHARED.contains(&name) {
                         let known = SHARED.join(", ");
-                        return Err((start, format!("unknown key {name}; outside of tables there are {known}")));
+                        return Err((start, format!("unknown key {name}; known keys outside of tables: {known}")));
                     }
                     let setting = Setting { values: texts(value_here, start)?, place: Place::of(text, start) };
                     // The command `gc` has all of these flags and no required arguments.
@@ -151,7 +151,7 @@ fn read_table(
     for (key, value) in table {
         let (name, start) = (key.get_ref().as_ref(), key.span().start);
         if !flags.contains(&name) && !SHARED.contains(&name) {
-            return Err((start, format!("unknown key {name}; [{service}] has {}", flags.join(", "))));
+            return Err((start, format!("unknown key {name}; known keys of [{service}]: {}", flags.join(", "))));
         }
         let setting = Setting { values: texts(value.get_ref(), value.span().start)?, place: Place::of(text, start) };
         check(command, service, name, &setting.values).map_err(|what| (value.span().start, what))?;
@@ -172,7 +172,7 @@ fn texts(value: &DeValue<'_>, at: usize) -> Result<Vec<String>, Fault> {
             return Ok(each.collect::<Result<Vec<_>, _>>()?.concat());
         }
         DeValue::Datetime(_) | DeValue::Table(_) => {
-            return Err((at, "give a text, a number, true, false or a list".into()));
+            return Err((at, "give a string, a number, true, false or a list".into()));
         }
     }])
 }
@@ -190,11 +190,11 @@ fn check(command: &Command, name: &str, long: &str, values: &[String]) -> Result
     let typed: Vec<String> = match arg.get_action() {
         ArgAction::SetTrue => match values {
             [value] if value == "true" || value == "false" => Vec::new(),
-            _ => return Err(format!("{long} is true or false")),
+            _ => return Err(format!("{long} must be true or false")),
         },
         ArgAction::Count => match values {
             [value] if value.parse::<u8>().is_ok() => Vec::new(),
-            _ => return Err(format!("{long} is a small number")),
+            _ => return Err(format!("{long} must be a small number")),
         },
         _ => values.iter().map(|value| format!("--{long}={value}")).collect(),
     };

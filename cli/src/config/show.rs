@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 pub fn settings(command: &Command, matches: &ArgMatches, file: Option<&File>) -> Result<String, clap::Error> {
     let mut text = match file {
         Some(file) => format!("# from {}\n", file.path().display()),
-        None => "# there is no femc.toml\n".to_owned(),
+        None => "# no femc.toml found\n".to_owned(),
     };
     match matches.subcommand() {
         Some((name, matches)) => table(&mut text, command, name, matches, file),

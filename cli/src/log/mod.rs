@@ -70,7 +70,7 @@ pub fn start(cli: &Cli) -> Logging {
         let own = Targets::new().with_targets(own(tracing::Level::INFO));
         log.with(layer.map(|layer| layer.with_filter(own))).init();
         if let Some(fault) = fault {
-            tracing::error!("no spans are sent: {fault}");
+            tracing::error!("cannot send spans: {fault}");
         }
         Logging { _spans: spans }
     };

@@ -22,7 +22,7 @@ pub struct Spans {
 impl Drop for Spans {
     fn drop(&mut self) {
         if let Err(error) = self.provider.shutdown() {
-            eprintln!("femc: the last spans were not sent: {error}");
+            eprintln!("femc: cannot send the last spans: {error}");
         }
     }
 }
@@ -34,7 +34,7 @@ pub enum NoSpans {
     #[error("OTEL_EXPORTER_OTLP_ENDPOINT: {0}")]
     Exporter(#[from] ExporterBuildError),
     /// The exporter's thread cannot be started.
-    #[error("no thread can be started: {0}")]
+    #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
 }
 

@@ -93,10 +93,10 @@ pub fn error(job: &JobStatus) -> Option<String> {
         Some(FrameStop::Unknown) => format!(", above the target of {target}"),
         Some(FrameStop::Rendering) => format!(", above the target of {target}: still rendering"),
         Some(FrameStop::Limit) => {
-            format!(", above the target of {target}: the frame has all samples that a frame may take")
+            format!(", above the target of {target}: the frame has reached the limit of samples")
         }
         Some(FrameStop::Estimate) => {
-            format!(", above the target of {target}: it stopped by an estimate, which may miss the target by a little")
+            format!(", above the target of {target}: an estimate stopped the frame, and may miss the target slightly")
         }
     };
     Some(text)
@@ -133,7 +133,7 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
         lines.push(say.doubtful(&format!("         {} left out: not finite", human::count(job.bad_samples, "sample"))));
     }
     lines.push(format!(
-        "time     {}, {} at it",
+        "time     {}, {} active",
         human::seconds(job.seconds),
         human::count(job.workers.into(), "worker")
     ));

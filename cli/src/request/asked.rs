@@ -145,7 +145,7 @@ impl Asked {
             if let Some(sweep) = &job.sweep {
                 let path = path.display();
                 return Err(usage(format!(
-                    "{}: this job has variants; `femc sweep {path}` renders them, `femc plan {path}` shows them",
+                    "{}: this job has variants; render them with `femc sweep {path}`, or list them with `femc plan {path}`",
                     job.shown(sweep.place())
                 )));
             }
@@ -164,12 +164,12 @@ impl Asked {
     /// Reads the scene at `path`, and plans to render the frame in the file `replayed` again.
     pub fn again(path: &Path, replayed: &Path, typed: SettingsArgs, say: Say) -> Result<Self, Failure> {
         if is_job(path) {
-            return Err(usage("--replay: give the scene of the frame; a job file has settings of its own"));
+            return Err(usage("--replay: give the scene of the frame; a job file has its own settings"));
         }
         let shown = replayed.display();
         let Some(attributes) = attributes(replayed) else {
             return Err(usage(format!(
-                "--replay: {shown} is no frame that can be read; give an EXR or PNG file by femc"
+                "--replay: {shown} is not a readable frame; give an EXR or PNG file that femc has written"
             )));
         };
         let Stated { settings, frame, scene, engine } = Stated::of(replayed, &attributes)?;
@@ -178,11 +178,11 @@ impl Asked {
         if asked.scene().digest().to_string() != scene {
             let path = path.display();
             return Err(failed(format!(
-                "--replay: {shown} is of another scene than {path}, or of another state of it"
+                "--replay: {shown} was rendered from another scene than {path}, or from another state of it"
             )));
         }
         if engine != femc_worker::engine() {
-            say.warning(format!("--replay: {shown} is of another build of the engine ({engine}): pixels may differ"));
+            say.warning(format!("--replay: {shown} is from another build of the engine ({engine}): pixels may differ"));
         }
         asked.warn(say);
         Ok(asked)
@@ -195,7 +195,7 @@ impl Asked {
         }
         let failed = |e: &dyn std::fmt::Display| failed(format!("{}: {e}", self.path.display()));
         let pool = threads::pool(self.threads)?;
-        let busy = Busy::new(say, "a pilot of the first frame says whether a first pass pays");
+        let busy = Busy::new(say, "a pilot of the first frame decides whether a first pass saves time");
         let choice = pool.install(|| auto::choose(&self.source, &self.settings, &self.plan)).map_err(|e| failed(&e))?;
         drop(busy);
         if choice.method == femc_pipeline::Method::Pt {
@@ -218,7 +218,7 @@ impl Asked {
         if scene.is_dark() {
             let path = self.path.display();
             say.warning(format!(
-                "{path}: nothing in the scene emits light: every picture of it is black; see `femc check {path}`"
+                "{path}: nothing in the scene emits light, so every picture is black; see `femc check {path}`"
             ));
         }
         let sets: Vec<Layer> =
@@ -240,7 +240,7 @@ impl Asked {
     /// Prints why the pilot has chosen a first pass.
     pub fn explain(&self, say: Say) {
         if let Some(Choice { method: femc_pipeline::Method::Femc, reason, .. }) = &self.choice {
-            say.note(format!("a first pass guides the paths: {reason}; `--method pt` does without"));
+            say.note(format!("a first pass guides the paths: {reason}; `--method pt` renders without it"));
         }
     }
 
@@ -286,7 +286,8 @@ impl Asked {
 
     /// Returns all files of the scene as artifacts.
     pub fn parcel(&self) -> Result<Parcel, Failure> {
-        let cannot = |e: &dyn std::fmt::Display| failed(format!("{}: cannot be packed: {e}", self.path.display()));
+        let cannot =
+            |e: &dyn std::fmt::Display| failed(format!("{}: cannot be packed for the farm: {e}", self.path.display()));
         let bundle = Bundle::gather(&self.place.disk(), &self.files).map_err(|e| cannot(&e))?;
         Parcel::pack(&bundle).map_err(|e| cannot(&e))
     }
@@ -338,7 +339,7 @@ pub fn locate(path: &Path, root: Option<&Path>) -> Result<ScenePath, Failure> {
         None => ScenePath::new(path),
         Some(root) if !root.is_dir() => {
             return Err(usage(format!(
-                "--root {}: there is no such folder; give one that holds the scene",
+                "--root {}: no such folder; give a folder that contains the scene",
                 root.display()
             )));
         }

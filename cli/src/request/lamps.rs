@@ -33,7 +33,7 @@ impl Asked {
         }
         if let more @ 1.. = faults.len().saturating_sub(NAMED) {
             let (more, scene) = (human::count(more as u64, "more lamp"), self.path.display());
-            say.note(format!("warning: the light of {more} is not found; `femc check {scene}` lists them"));
+            say.note(format!("warning: rendering does not find the light of {more}; `femc check {scene}` lists them"));
         }
     }
 
@@ -42,8 +42,8 @@ impl Asked {
         let bent = bent_light(self.scene(), &flux);
         if bent.share >= MUCH {
             say.warning(format!(
-                "{} of the lamps' light ({:.0} lm) goes through clear solids or comes from mirrors first: the first pass \
-                 finds it by few rays, loses a part and spreads the rest evenly over surfaces; render with `--method femc` or \
+                "{} of the lamps' light ({:.0} lm) first passes through clear solids or comes from mirrors: the first pass \
+                 finds it with few rays, loses a part and spreads the rest evenly over surfaces; render with `--method femc` or \
                  `--method pt`",
                 human::percent(bent.share),
                 bent.lumens

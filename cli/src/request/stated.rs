@@ -23,7 +23,7 @@ impl Stated {
     pub fn of(file: &Path, attributes: &BTreeMap<String, String>) -> Result<Self, Failure> {
         let fault = |name: &str, what: &str| {
             failed(format!(
-                "{}: {what} attribute {ATTRIBUTE_PREFIX}{name}: how its samples were drawn is not known; give a frame that this femc \
+                "{}: {what} attribute {ATTRIBUTE_PREFIX}{name}, so its samples cannot be drawn again; give a frame that this femc \
                  has rendered",
                 file.display()
             ))

@@ -11,7 +11,7 @@ pub struct Budget {
 
 /// Error of a text that is not a time budget.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no duration; write it like 90s, 2m, 1h30m, 7d or 500ms")]
+#[error("`{0}` is not a duration; write it like 90s, 2m, 1h30m, 7d or 500ms")]
 pub struct BudgetError(String);
 
 impl FromStr for Budget {

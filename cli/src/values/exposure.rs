@@ -48,7 +48,7 @@ impl FromStr for Exposure {
         }
         match text.parse::<f64>() {
             Ok(ev) if (-20.0..=40.0).contains(&ev) => Ok(Self::Ev(ev)),
-            _ => Err(format!("`{text}` is no exposure; write auto, or an exposure value from -20 to 40, like 7.5")),
+            _ => Err(format!("`{text}` is not an exposure; write auto, or an exposure value from -20 to 40, like 7.5")),
         }
     }
 }

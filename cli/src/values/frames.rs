@@ -37,11 +37,11 @@ impl Run {
 pub enum FramesError {
     /// The text has none of these forms.
     #[error(
-        "`{0}` names no frames; write K, A..B (B included) or A..B+STEP, with commas between several, like 7, 1..120, 1..120+10 or 1,5,9"
+        "`{0}` is not a list of frames; write K, A..B (B included) or A..B+STEP, several with commas, like 7, 1..120, 1..120+10 or 1,5,9"
     )]
     Form(String),
     /// Frame 0.
-    #[error("frames count from 1")]
+    #[error("frame numbers begin at 1")]
     Zero,
     /// Last before first.
     #[error("the last frame, {last}, comes before the first, {first}; write A..B with A <= B")]

@@ -21,7 +21,7 @@ const NAMES: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
 
 /// Error of a text that does not describe working hours.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no window of time; write it like 20:00-06:00, or Mon-Fri 20:00-06:00, several with a comma between")]
+#[error("`{0}` is not a time window; write it like 20:00-06:00 or Mon-Fri 20:00-06:00, several with commas")]
 pub struct HoursError(String);
 
 impl FromStr for Hours {

@@ -16,7 +16,7 @@ pub enum OverrideError {
     #[error("write SELECTOR=VALUE, like medium.fog.sigma_s=0.03")]
     Form,
     /// The value is not a finite number.
-    #[error("`{0}` is no finite number; write SELECTOR=VALUE, like medium.fog.sigma_s=0.03")]
+    #[error("`{0}` is not a finite number; write SELECTOR=VALUE, like medium.fog.sigma_s=0.03")]
     Value(String),
 }
 

@@ -18,10 +18,10 @@ pub struct Size {
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SizeError {
     /// The text does not consist of two numbers.
-    #[error("`{0}` is no film size; write width x height in pixels, like 320x180")]
+    #[error("`{0}` is not a film size; write width x height in pixels, like 320x180")]
     Form(String),
     /// A side is zero or too large.
-    #[error("each side of a film has 1 to {LARGEST} pixels")]
+    #[error("each side of a film must have 1 to {LARGEST} pixels")]
     Range,
 }
 

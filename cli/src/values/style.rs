@@ -47,8 +47,8 @@ impl Style {
     pub fn paper(&self) -> Option<String> {
         (self.transparent > 0.0).then(|| {
             format!(
-                "the painting is transparent in {} of its pixels, where it counts as white paint: white goes into the pictures; paint \
-                 the ground that you want there",
+                "the painting is transparent in {} of its pixels, which count as white paint: the pictures become white there; paint \
+                 a background instead",
                 human::percent(self.transparent)
             )
         })
@@ -60,7 +60,7 @@ impl Style {
         let [width, height] = source.size();
         if [picture.width, picture.height] != [width, height] {
             return Err(failed(format!(
-                "--style {} has {}x{} pixels, the source {} {width}x{height}; paint over the source, pixel on pixel",
+                "--style {} has {}x{} pixels, the source {} {width}x{height}; paint over the source, pixel by pixel",
                 path.display(),
                 picture.width,
                 picture.height,

@@ -24,7 +24,7 @@ pub struct JobTasks {
 /// Error of a text that does not name tasks.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` names no task; write a frame, like 12, or a task, like 12.0/render.0/3, or all tasks of a kind, like 12.0/image"
+    "`{0}` is not a task; write a frame, like 12, or a task, like 12.0/render.0/3, or all tasks of a kind, like 12.0/image"
 )]
 pub struct TasksError(String);
 

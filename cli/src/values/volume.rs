@@ -7,7 +7,7 @@ pub struct Volume(pub u64);
 
 /// Error of a text that is not a number of bytes.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no number of bytes; write it like 512M or 10GiB")]
+#[error("`{0}` is not a number of bytes; write it like 512M or 10GiB")]
 pub struct VolumeError(String);
 
 impl FromStr for Volume {

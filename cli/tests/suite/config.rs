@@ -84,13 +84,13 @@ fn a_fault_of_the_file_is_told_with_its_place() {
     for (text, said) in [
         ("[coordinator]\n  leese = \"3s\"\n", "femc.toml:2:3: unknown key leese"),
         ("sparkle = 1\n", "femc.toml:1:1: unknown key sparkle"),
-        ("\n[renderer]\n", "femc.toml:2:2: there is no table [renderer]"),
-        ("coordinator = 3\n", "femc.toml:1:1: coordinator is a table"),
+        ("\n[renderer]\n", "femc.toml:2:2: unknown table [renderer]"),
+        ("coordinator = 3\n", "femc.toml:1:1: coordinator must be a table"),
         ("[coordinator]\nlease = \"forever\"\n", "femc.toml:2:9: invalid value 'forever' for '--lease"),
         ("[coordinator]\nlease = [\"3s\", \"4s\"]\n", "femc.toml:2:9: lease takes one value"),
-        ("[coordinator]\ninsecure = 3\n", "femc.toml:2:12: insecure is true or false"),
+        ("[coordinator]\ninsecure = 3\n", "femc.toml:2:12: insecure must be true or false"),
         ("[worker]\nnice = 99\n", "femc.toml:2:8: invalid value '99' for '--nice"),
-        ("[worker]\nnice = {}\n", "femc.toml:2:8: give a text"),
+        ("[worker]\nnice = {}\n", "femc.toml:2:8: give a string"),
         ("[worker\n", "femc.toml:1:"),
         ("color = \"mauve\"\n", "femc.toml:1:9: invalid value 'mauve' for '--color"),
     ] {

@@ -116,7 +116,7 @@ fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
     let waits = || status(&place, &url, &job)["waits"].to_string();
     plain.wait_until("the job waits for ffmpeg", || waits().contains("no worker has all the tags ffmpeg"));
     let sheetless = place.run(&format!("fetch {job} -o out --server {url}")).exits(1);
-    assert!(sheetless.stderr().contains("cannot be had yet"), "{}", sheetless.stderr());
+    assert!(sheetless.stderr().contains("cannot be fetched yet"), "{}", sheetless.stderr());
     let _able = start("bin");
     place.run(&format!("watch {job} --server {url}")).exits(0);
     assert!(

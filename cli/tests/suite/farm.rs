@@ -370,7 +370,7 @@ fn a_retry_of_single_frames_reads_their_images_and_leaves_the_others_as_they_are
         let whole = std::fs::read(&at).expect("an image");
         std::fs::write(at, &whole[..whole.len() / 3]).expect("it is cut");
     }
-    for (frames, word) in [("9", "no frame 9"), ("1..1000000000", "no frame"), ("0", "count from 1"), ("3,", "")] {
+    for (frames, word) in [("9", "no frame 9"), ("1..1000000000", "no frame"), ("0", "begin at 1"), ("3,", "")] {
         let ran = place.run(&format!("retry {job} --frames {frames} --server {url}")).exits(2);
         assert!(ran.stderr().contains(word), "{frames}: {}", ran.stderr());
     }

@@ -442,7 +442,7 @@ fn a_scene_without_light_is_a_file_without_meshes_and_a_warning() {
     let place = Place::new();
     place.write("dark.mgf", "camera main =\n\torigin 0 0 1\n\ttarget 0 1 1\n\tfov 40\n\tfilm 8 8\n");
     let said = place.run("field dark.mgf").exits(0).stderr();
-    assert!(said.contains("nothing to see"), "{said}");
+    assert!(said.contains("the file has no meshes"), "{said}");
     let bytes = std::fs::read(place.path("dark.glb")).expect("the file by the scene's name");
     assert_eq!(word(&bytes, 8), bytes.len());
     let document: Value = serde_json::from_slice(&bytes[20..]).expect("one chunk");

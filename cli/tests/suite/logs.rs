@@ -58,7 +58,7 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
 fn logs_of_what_is_not_there_are_wrong_usage() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
-    for (line, said) in [("logs 77", "77"), ("logs 1 first", "names no task"), ("logs 1/2 3", "twice")] {
+    for (line, said) in [("logs 77", "77"), ("logs 1 first", "is not a task"), ("logs 1/2 3", "twice")] {
         let ran = place.run(&format!("{line} --server {url}")).exits(2);
         assert!(ran.stderr().contains(said), "{line}: {}", ran.stderr());
     }

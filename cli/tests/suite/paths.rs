@@ -283,7 +283,7 @@ fn rare_paths_and_those_that_stand_for_all_are_listed_and_an_object_has_a_box() 
         let said = place.run(&format!("paths box.paths {rest}")).exits(2).stderr();
         assert!(said.contains(why), "{rest}: {said}");
     };
-    refused("--in flor", "known are");
+    refused("--in flor", "known objects");
     refused("--in 1,2,3", "six numbers");
     refused("--rarest 3 --few 4", "--few");
     refused("--minus box.paths", "--table voxels");
@@ -365,7 +365,7 @@ fn a_page_shows_maps_and_histograms_and_asks_nobody_for_anything() {
     assert!(page.contains("ceiling") && page.contains("most work:"), "what stands out, and where");
     place.run("report out/box.0001.paths out/box.0002.paths -o two.html").exits(0);
     assert_eq!(place.read("two.html").matches("<img").count(), 8);
-    assert!(place.run("report out/box.0001.paths 7").exits(2).stderr().contains("not both"));
+    assert!(place.run("report out/box.0001.paths 7").exits(2).stderr().contains("shows either"));
     place.run("report out/box.0003.paths").exits(2);
 }
 
@@ -380,7 +380,7 @@ fn what_cannot_be_asked_is_refused_with_the_place() {
     };
     refused("box.paths --where depth", 2, "--where: column 6");
     refused("box.paths --where colour==2", 2, "column 1: there is no \"colour\"");
-    refused("box.paths --object flor", 2, "known are");
+    refused("box.paths --object flor", 2, "known objects");
     refused("box.paths --then floor", 2, "--object");
     refused("box.paths --in 1,1,1,0,0,0", 2, "lower corner");
     refused("nothing.paths", 2, "nothing.paths");

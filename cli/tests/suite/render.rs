@@ -204,7 +204,7 @@ fn a_frame_of_another_scene_or_of_nobody_is_not_rendered_again() {
         let ran = place.run(line).exits(code);
         assert!(ran.stderr().contains(says), "{line}: {}", ran.stderr());
     };
-    refused("render fog.mgf -o b.exr --replay nothing.exr", 2, "no frame that can be read");
+    refused("render fog.mgf -o b.exr --replay nothing.exr", 2, "not a readable frame");
     refused("render fog.mgf -o b.exr --replay a.exr --spp 4", 2, "--replay");
     let text = place.read("fog.mgf");
     place.write("other.mgf", &format!("{text}\nm another =\n    c\n    rd 0.5\n"));
@@ -263,9 +263,9 @@ fn an_exposure_without_a_picture_and_a_picture_with_a_clip_are_wrong_usage() {
     let place = Place::new();
     for (line, says) in [
         ("-o a.exr --exposure 3", "give -o NAME.png"),
-        ("-o a.png --video a.gif", "are made of EXR files"),
-        ("-o a.png --exposure bright", "`bright` is no exposure"),
-        ("-o a.png --frames 1..2", "such a name is one"),
+        ("-o a.png --video a.gif", "need EXR files"),
+        ("-o a.png --exposure bright", "`bright` is not an exposure"),
+        ("-o a.png --frames 1..2", "this name is for one frame"),
         ("-o a.jpg", "give NAME.exr or NAME.png"),
     ] {
         let said = place.run(&format!("render fog.mgf --spp 1 {line}")).exits(2).stderr();

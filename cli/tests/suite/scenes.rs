@@ -40,9 +40,7 @@ fn a_job_file_has_its_root_beside_it_and_a_wrong_root_is_wrong_usage() {
     let place = divided();
     place.write("models/job.toml", "scene = \"room/room.mgf\"\nroot = \".\"\nspp = 1\nframes = \"1\"\n");
     place.run("render models/job.toml -o a.exr").exits(0);
-    for (root, says) in
-        [("models/lib", "not below the root folder"), ("nowhere", "--root nowhere: there is no such folder")]
-    {
+    for (root, says) in [("models/lib", "not below the root folder"), ("nowhere", "--root nowhere: no such folder")] {
         let refused = place.run(&format!("plan models/room/room.mgf --root {root}")).exits(2).stderr();
         assert!(refused.contains(says), "{refused}");
     }

@@ -208,7 +208,7 @@ fn a_database_that_does_not_let_one_in_is_told_in_one_line() {
     for (store, code, word) in [
         (format!("{user}:wrong@{tail}"), 1, "password"),
         (format!("{head}@{}/nowhere", tail.split_once('/').expect("a path").0), 1, "nowhere"),
-        (format!("postgres://ann:{password}@{nobody}/farm"), 1, "is PostgreSQL running there"),
+        (format!("postgres://ann:{password}@{nobody}/farm"), 1, "check that PostgreSQL runs there"),
         ("postgres://host:port/farm".to_owned(), 2, "postgres://user@host"),
     ] {
         let ran =

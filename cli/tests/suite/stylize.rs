@@ -169,7 +169,7 @@ fn a_clip_that_was_cut_off_goes_on_to_the_same_bytes() {
     std::fs::copy(place.path("cut.part"), place.path("other.part")).expect("a copy");
     place.run("stylize --style cel --target k-*.exr -o other/").exits(0);
     let ran = place.run(&format!("{line} k-*.exr -o cut/")).exits(0);
-    assert!(ran.stderr().contains("going on, "), "{}", ran.stderr());
+    assert!(ran.stderr().contains("resuming, "), "{}", ran.stderr());
     assert!(!place.path("cut.part").exists() && !place.path("other.part").exists());
     for frame in 0..4 {
         let [whole, cut, other] = ["whole", "cut", "other"].map(|run| picture(&place, &format!("{run}/k-{frame}.png")));
@@ -221,10 +221,10 @@ fn bad_input_says_what_is_wrong_and_where_and_paints_nothing() {
     let before = names(&place.path("."));
     for (arguments, code, said) in [
         ("--style large.png --source a.exr --target b.exr", 1, "large.png has 25x18 pixels, the source a.exr 24x18"),
-        ("--style p.png --source a.exr --target a.exr b.exr", 2, "2 targets, one picture; give a folder"),
+        ("--style p.png --source a.exr --target a.exr b.exr", 2, "2 targets, but this is one picture; give a folder"),
         ("--style p.png --source a.exr --target z*.exr", 2, "--target z*.exr: no such file"),
         ("--style p.png --source a.layers.exr --target b.layers.exr --guides glow", 1, "no layer `glow`"),
-        ("--style p.png --source lamp.layers.exr --target fog.layers.exr", 1, "none in common"),
+        ("--style p.png --source lamp.layers.exr --target fog.layers.exr", 1, "no layer in common"),
         ("--style p.png --source fog.mgf --target b.exr", 1, "--source: fog.mgf"),
         ("--style p.png --source a.exr --target p.png", 1, "--target: p.png"),
         ("--style p.png --source a.exr --target none.exr", 2, "--target none.exr: no such file"),

@@ -246,7 +246,7 @@ fn what_the_scene_refuses_is_told_with_its_place_in_the_job_file() {
         ("[sweep]\n", "[sweep]\ncamera = [\"main\", \"side\"]\n", "j.toml:7:19: "),
         ("[sweep]\n", "[set]\n\"material.lmp.ed\" = 3\n[sweep]\n", "j.toml:7:1: no scalar of the scene"),
         ("[sweep]\n", "[regions]\nsign = [0, 0, 16, 17]\n[sweep]\n", "j.toml:7:8: region `sign`"),
-        ("spp = 2", "spp = 0", "j.toml:3:1: spp is at least 1"),
+        ("spp = 2", "spp = 0", "j.toml:3:1: spp must be at least 1"),
     ] {
         place.write("j.toml", &JOB.replace(from, to));
         let ran = place.run("sweep j.toml -o out --local").exits(2);

@@ -171,9 +171,7 @@ fn constant(settings: &Settings) -> Result<serde_json::Value, Failure> {
 
 fn ended(error: RenderError) -> Failure {
     match error {
-        RenderError::Cancelled => {
-            interrupted("interrupted; the same command goes on where this one stopped, if it has -o")
-        }
+        RenderError::Cancelled => interrupted("interrupted; with -o, rerun the command to resume"),
         error => failed(error),
     }
 }

@@ -32,11 +32,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
     femc bench scenes/cornell.mgf --reference cornell.exr --methods pt,adaptive --report bench.html\n  \
     femc bench box.mgf fog.mgf --reference box.exr fog.exr --spp 1,4,16,64 --error 0.5,0.2 -o bench.json\n  \
     femc bench box.mgf --reference A.exr,B.exr --methods pt --seeds 10 --json | jq .summary.methods\n\n\
-    Methods: pt (budgets: --spp), adaptive (budgets: --error). The first one named is what the others are compared with. \
-    Only rendering is timed, in this process: the scene is read and compiled before. A reference REF.exr whose independent \
-    halves REF_A.exr and REF_B.exr stand beside it tells its own noise, which is taken off mse and relmse, not off flip.\n\
-    With -o each measurement is kept as it is made: the same command goes on after a stop, and one with more seeds, budgets, \
-    methods or scenes measures what is new.")]
+    Methods: pt (budgets: --spp), adaptive (budgets: --error). The first method is the baseline of the comparison. Only rendering \
+    is timed, in this process: the scene is read and compiled before. If the independent halves REF_A.exr and REF_B.exr exist \
+    beside a reference REF.exr, the noise of the reference is estimated and subtracted from mse and relmse, but not from flip.\n\
+    With -o each measurement is saved as soon as it is made: rerun the command to resume after a stop. With more seeds, budgets, \
+    methods or scenes, only what is new is measured.")]
 pub struct BenchArgs {
     /// Scene files
     #[arg(value_name = "SCENE", required = true)]
@@ -114,7 +114,7 @@ pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
     let BenchArgs { scenes, reference, out, .. } = args;
     if scenes.len() != reference.len() {
         return Err(usage(format!(
-            "--reference: {} for {}; give one for each scene, in their order",
+            "--reference: {} for {}; give one for each scene, in the same order",
             human::count(reference.len() as u64, "reference"),
             human::count(scenes.len() as u64, "scene"),
         )));
@@ -126,17 +126,19 @@ pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
     for (scene, named) in scenes.iter().zip(reference) {
         let asked = Asked::open(scene, args.settings.typed(), say)?;
         if asked.frames_chosen == FramesChosen::Typed && asked.plan.frames.len() != 1 {
-            return Err(usage("--frames: a reference is of one frame; give --frames K"));
+            return Err(usage("--frames: a reference shows one frame; give --frames K"));
         }
         let bed = Bed::new(asked, named.read()?, &named.to_string())?;
         if beds.iter().any(|other| other.setup.name == bed.setup.name) {
             let name = &bed.setup.name;
-            return Err(usage(format!("two scenes are named {name}: figures could not be told apart; rename a file")));
+            return Err(usage(format!(
+                "two scenes are named {name}, so their results have the same name; rename a file"
+            )));
         }
         if bed.reference().noise.is_none() {
             let name = &bed.setup.name;
             say.note(format!(
-                "note: {name}: the reference's own noise is not known (no halves _A and _B): it counts as error"
+                "note: {name}: the noise of the reference is unknown (no halves _A and _B) and counts as error"
             ));
         }
         beds.push(bed);
@@ -272,7 +274,7 @@ impl BenchSettings {
 fn spp(text: &str) -> Result<f64, String> {
     match text.parse::<u32>() {
         Ok(number @ 1..=16_777_216) => Ok(f64::from(number)),
-        _ => Err(format!("`{text}` is no number of samples; write whole numbers from 1 to 16777216, like 1,4,16")),
+        _ => Err(format!("`{text}` is not a number of samples; write whole numbers from 1 to 16777216, like 1,4,16")),
     }
 }
 
@@ -280,7 +282,7 @@ fn spp(text: &str) -> Result<f64, String> {
 fn relative_error(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number > 0.0 && number < 10.0 => Ok(number),
-        _ => Err(format!("`{text}` is no relative error; write numbers above 0 and below 10, like 0.5,0.2")),
+        _ => Err(format!("`{text}` is not a relative error; write numbers above 0 and below 10, like 0.5,0.2")),
     }
 }
 

@@ -88,7 +88,7 @@ impl Contents {
         let rows: Vec<Vec<String>> = self.lamps.iter().take(LAMPS).map(row).collect();
         say.result(human::table(&["count", "lm each", "m2 each", "lamp", "first at"], &rows));
         if let more @ 1.. = self.lamps.len().saturating_sub(LAMPS) {
-            say.result(format!("and {} (--json has all)", human::count(more as u64, "more kind")));
+            say.result(format!("and {} (--json lists all)", human::count(more as u64, "more kind")));
         }
     }
 }

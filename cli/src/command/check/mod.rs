@@ -107,7 +107,7 @@ fn print(say: Say, report: &Report, all: bool, imported: Imported) {
     if imported != Imported::Whole {
         let least = if imported == Imported::Partly { "at least " } else { "" };
         let errors = human::count(report.errors as u64, "error");
-        say.result(format!("{}: {least}{errors}; warnings are listed for scenes without errors", report.scene));
+        say.result(format!("{}: {least}{errors}; warnings are listed only for scenes without errors", report.scene));
         return;
     }
     report.contents.print(say);

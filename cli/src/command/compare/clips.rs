@@ -49,13 +49,13 @@ pub fn run(a: &Path, b: &Path, as_json: bool, say: Say) -> Result<Exit, Failure>
         let (image, reference) = (read(file)?, read(other)?);
         let names = format!("{} and {}", file.display(), other.display());
         let compared = femc_film::compare(&image, &reference);
-        let c = compared.map_err(|e| failed(format!("{names} cannot be compared: {e}")))?;
+        let c = compared.map_err(|e| failed(format!("cannot compare {names}: {e}")))?;
         let metrics = Metrics { mse: c.mse, relmse: c.relmse, ssim: c.ssim, flip: c.flip, mean_ratio: c.mean_ratio };
         let same_pixels = femc_film::pixel_digest(&image) == femc_film::pixel_digest(&reference);
         report.frames.push(FrameReport { frame: *frame, metrics, same_pixels });
     }
     if report.frames.is_empty() {
-        return Err(usage(format!("{} and {} have no frame of the same number", a.display(), b.display())));
+        return Err(usage(format!("{} and {} have no frame number in common", a.display(), b.display())));
     }
     report.unpaired = of_a.len() + of_b.len() - 2 * report.frames.len();
     report.mean = mean(&report.frames);
@@ -111,6 +111,9 @@ fn print(report: &Report, say: Say) {
     rows.push(row("mean".to_owned(), &report.mean, false));
     say.result(human::table(&["frame", "mse", "relmse", "ssim", "flip", "mean_ratio"], &rows));
     if report.unpaired > 0 {
-        say.note(format!("{} without a partner in the other folder", human::count(report.unpaired as u64, "frame")));
+        say.note(format!(
+            "{} without a counterpart in the other folder",
+            human::count(report.unpaired as u64, "frame")
+        ));
     }
 }

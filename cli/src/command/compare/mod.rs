@@ -58,7 +58,7 @@ pub fn run(args: &CompareArgs, say: Say) -> Result<Exit, Failure> {
     let (image, reference) = (read(&args.image)?, read(&args.reference)?);
     let names = format!("{} and {}", args.image.display(), args.reference.display());
     let comparison =
-        femc_film::compare(&image, &reference).map_err(|e| failed(format!("{names} cannot be compared: {e}")))?;
+        femc_film::compare(&image, &reference).map_err(|e| failed(format!("cannot compare {names}: {e}")))?;
     let Comparison { mse, relmse, psnr, ssim, flip, mean_ratio, worst, excluded } = comparison;
     let report = Report {
         image: args.image.display().to_string(),
@@ -97,7 +97,7 @@ fn print(say: Say, report: &Report) {
     let WorstPixel { x, y, value, reference, relative } = report.worst_pixel;
     say.result(format!("worst pixel {x},{y}: {value:?}, reference {reference:?}, relative error^2 {relative:.4e}"));
     if report.same_pixels {
-        say.result("the pixels are equal to the bit");
+        say.result("the pixels are equal bit by bit");
     }
     if report.excluded.pixels > 0 {
         let Excluded { image, reference, pixels } = report.excluded;

@@ -76,14 +76,14 @@ fn extras(about: &About<'_>) -> Value {
         "frame": about.prepared.frame,
         "scale": about.scale,
         "exposure_ev": about.ev,
-        "color": "COLOR_0 = min(1, scale * luminance), luminance in cd/m2 by channel of linear Rec.709 along the normal",
-        "_RADIANCE": "the same luminance, neither scaled nor cut, cd/m2",
-        "_IRRADIANCE": "lx by channel, with what comes straight from lamps",
-        "_DIRECT": "the part of it that comes straight from lamps, lx",
-        "_ELEMENT": "number of the element, -1 of lamps",
-        "_SURFACE": "number of the surface, -1 of lamps",
+        "color": "COLOR_0 = min(1, scale * luminance), luminance in cd/m2 per channel of linear Rec.709, along the normal",
+        "_RADIANCE": "this luminance without scale and limit, cd/m2",
+        "_IRRADIANCE": "lx per channel, including direct light of lamps",
+        "_DIRECT": "only the direct light of lamps, lx",
+        "_ELEMENT": "number of the element, -1 for lamps",
+        "_SURFACE": "number of the surface, -1 for lamps",
         "origin": about.prepared.in_world([0.0; 3].into()),
-        "axes": "positions are x, y, z of the scene in m less its origin; the root node puts them back, with y up",
+        "axes": "positions are x, y, z of the scene in m minus its origin; the root node adds the origin and makes y the up axis",
     })
 }
 

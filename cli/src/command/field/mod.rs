@@ -22,14 +22,14 @@ use std::sync::atomic::AtomicBool;
 /// Solve the finite-element first pass and write it as glTF, for viewing
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc field scenes/cornell.mgf -o solution.glb    # open it in any viewer of glTF\n  \
+    femc field scenes/cornell.mgf -o solution.glb    # open it in any glTF viewer\n  \
     femc field scenes/cornell.mgf -o solution.glb --error 0.02 --wire\n  \
     femc field scenes/roundabout.mgf --frame 12 --exposure 7 -o drive.glb\n  \
     femc field scenes/cornell.mgf -o solution.glb --json | jq .energy\n\n\
-    The file has a mesh for each material and side, made of the elements' leaves. Colors are the luminance along the normal \
-    times one scale, which scenes[0].extras state; the attributes _RADIANCE (cd/m2), _IRRADIANCE and _DIRECT (lx) have the \
-    values themselves, _ELEMENT and _SURFACE tell elements and surfaces apart. Mirrors, clear solids and fog are not in it. \
-    Statistics go to a JSON file beside it.")]
+    The file contains one mesh per material and side, made of the elements' leaves. Colors are the luminance along the normal \
+    times one scale, which scenes[0].extras states. The attributes _RADIANCE (cd/m2), _IRRADIANCE and _DIRECT (lx) contain the \
+    unscaled values, _ELEMENT and _SURFACE the numbers of elements and surfaces. Mirrors, clear solids and fog are left out. \
+    Statistics are written to a JSON file beside it.")]
 pub struct FieldArgs {
     /// Scene file
     #[arg(value_name = "SCENE")]
@@ -70,7 +70,7 @@ pub struct FieldArgs {
 fn share(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(share) if share > 0.0 && share <= 10.0 => Ok(share),
-        _ => Err(format!("`{text}` is no error of a link; write a number above 0 and up to 10, like 0.1 for 10 %")),
+        _ => Err(format!("`{text}` is not a link error; write a number above 0 and up to 10, like 0.1 for 10 %")),
     }
 }
 
@@ -86,7 +86,7 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     let prepared = prepared.map_err(failed)?;
 
     say.note(format!(
-        "{}: solving frame {} to links of {}",
+        "{}: solving frame {} with a link error of {}",
         args.scene.display(),
         args.frame,
         human::percent(args.error.into())
@@ -101,10 +101,7 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     let look = Look::new(&prepared, &solution);
     let meshes = meshes(&look);
     if meshes.is_empty() {
-        say.warning(format!(
-            "{}: no surface reflects or sends light, so there is nothing to see",
-            args.scene.display()
-        ));
+        say.warning(format!("{}: no surface reflects or emits light, so the file has no meshes", args.scene.display()));
     }
     let curve = curve(args.exposure, &meshes);
     let wire = if args.wire { Wire::Shown } else { Wire::Hidden };
@@ -148,11 +145,13 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
         ));
     }
     if report.bounded {
-        say.warning("light grew from reflection to reflection, as links are not exact; it was bounded, and the solution is rough");
+        say.warning(
+            "light grew with each reflection because links are inexact; it was bounded, so the solution is rough",
+        );
     }
     if report.residual > RESIDUAL {
         say.warning(format!(
-            "light still changes by {} after {} iterations, as surfaces or fog take hardly any of it: there is more than the solution has",
+            "light still changes by {} after {} iterations because surfaces and fog absorb very little: the solution is too dark",
             human::percent(report.residual.into()),
             report.iterations
         ));
@@ -177,10 +176,10 @@ fn target(out: Option<&Path>, scene: &Path) -> Result<PathBuf, Failure> {
         return Err(usage(format!("-o {shown} is a folder; give FILE.glb")));
     }
     if !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("glb")) {
-        return Err(usage(format!("-o {shown}: solutions are written as binary glTF (.glb) alone; give FILE.glb")));
+        return Err(usage(format!("-o {shown}: solutions are only written as binary glTF (.glb); give FILE.glb")));
     }
     match out.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
-        Some(folder) => Err(usage(format!("-o {shown}: there is no folder {}; make it first", folder.display()))),
+        Some(folder) => Err(usage(format!("-o {shown}: no folder {}; create it first", folder.display()))),
         None => Ok(out.to_owned()),
     }
 }

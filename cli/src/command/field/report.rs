@@ -179,7 +179,7 @@ impl Report {
             row(
                 "links",
                 format!(
-                    "{} among elements, {} with lamps; {} not exact enough",
+                    "{} between elements, {} with lamps; {} not exact enough",
                     quantity(elements),
                     quantity(lamps),
                     quantity(self.refused)
@@ -192,13 +192,13 @@ impl Report {
             row(
                 "checked",
                 format!(
-                    "rays find {:.3} of the light of the links; changed by {:.1} % rms",
+                    "rays find {:.3} of the light of the links; corrected by {:.1} % rms",
                     self.checked,
                     100.0 * self.corrected
                 ),
             ),
             row("irradiance", format!("{least:.3} to {most:.3} lx, median {median:.3} lx")),
-            row("flux", format!("{emitted:.1} lm sent, {received:.1} lm received, {absorbed:.1} lm kept")),
+            row("flux", format!("{emitted:.1} lm emitted, {received:.1} lm received, {absorbed:.1} lm absorbed")),
             row("took", format!("{}, {}", human::seconds(self.seconds), human::bytes(self.bytes as u64))),
             row("shown at", format!("EV {:.2}", self.exposure_ev)),
         ];

@@ -50,8 +50,8 @@ impl Frame {
         let Stated { settings, frame: number, scene, engine } = Stated::of(path, &file.attributes)?;
         if engine != femc_worker::engine() {
             return Err(failed(format!(
-                "{} was rendered by build {engine} of the engine, and this is {}: only the same build draws the same samples; \
-                 render the frame again, or look at it with the femc that rendered it",
+                "{} was rendered by build {engine} of the engine, but this femc has build {}: only the same build draws the same \
+                 samples; render the frame again, or use the femc that rendered it",
                 path.display(),
                 femc_worker::engine()
             )));

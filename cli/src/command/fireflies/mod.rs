@@ -24,13 +24,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
     femc fireflies drive/roundabout.0012.exr scenes/roundabout.mgf\n  \
     femc fireflies box.exr scenes/cornell-fog.mgf --blocks 3\n  \
     femc fireflies box.exr scenes/cornell-fog.mgf --json | jq '.origins[0]'\n\n\
-    A sample is a function of the settings, which the file states, so the samples of the blocks that are worst by \
-    relative_error.Y are traced again, and each contribution is noted. A share is the covariance of an origin's contributions \
-    with their pixels' samples, over the variance: shares add up to 100 %, and are below 0 where light is missing when the \
-    rest is bright. Of frames with --error or --time the samples that count are found by the pixel's value; a pixel in which \
-    samples were left out may not be found, and the first samples are taken then (`unlike` counts such pixels).\n\n\
-    SCENE must be the scene that the frame was rendered of, and this femc the same build of the engine. Overrides, camera, \
-    size and frame are in the file.")]
+    A sample is a function of the settings, which the file states. The samples of the blocks with the largest relative_error.Y \
+    are traced again, and each contribution is recorded. A share is the covariance of an origin's contributions with the samples \
+    of their pixels, divided by the variance: shares add up to 100 %, and are negative if light is missing where the rest is \
+    bright. For frames with --error or --time, the samples that count are found from the pixel's value. This can fail for a pixel \
+    in which samples were left out; then its first samples are used (`unlike` counts such pixels).\n\n\
+    SCENE must be the scene of the frame, and this femc must have the same build of the engine. Overrides, camera, size and \
+    frame number are in the file.")]
 pub struct FirefliesArgs {
     /// Frame, as written by femc
     #[arg(value_name = "FRAME.exr")]
@@ -54,7 +54,9 @@ pub fn run(args: &FirefliesArgs, say: Say) -> Result<Exit, Failure> {
     let (root, loaded) = load(&args.scene, args.root.as_deref())?;
     let other_scene = || {
         let (frame, scene) = (args.frame.display(), args.scene.display());
-        usage(format!("{frame} was rendered of another scene than {scene} is now; give its scene, or render it again"))
+        usage(format!(
+            "{frame} was rendered from another scene than {scene} is now; give its scene, or render it again"
+        ))
     };
     let source = Source::new(Arc::new(loaded.scene)).variant(&frame.settings.overrides).map_err(|_| other_scene())?;
     if source.scene().digest().to_string() != frame.scene {

@@ -21,7 +21,7 @@ pub fn print(say: Say, report: &Report) {
     if let more @ 1.. = report.origins.len().saturating_sub(ROWS) {
         let rest: f64 = report.origins.iter().skip(ROWS).map(|origin| origin.share).sum();
         let more = human::count(more as u64, "more origin");
-        say.result(format!("and {more} with {} (--json has all)", share(rest)));
+        say.result(format!("and {more} with {} (--json lists all)", share(rest)));
     }
     say.result("\npaths of the brightest samples, from the camera:");
     for origin in report.origins.iter().take(PATHS) {
@@ -29,7 +29,7 @@ pub fn print(say: Say, report: &Report) {
     }
     if report.unlike > 0 {
         say.result(say.doubtful(&format!(
-            "of {} the samples that count are not known: the first ones were taken",
+            "{} with unknown samples: their first samples were used",
             human::count(report.unlike, "pixel")
         )));
     }

@@ -194,7 +194,8 @@ fn tags(job: &JobFile) -> (Option<HostAttribute>, Vec<String>) {
         tag.starts_with(may_begin) && tag.chars().all(may_be) && tag.len() <= 100
     };
     let (fit, unfit): (Vec<&String>, Vec<&String>) = job.tags.iter().partition(is_value);
-    let left_out = |tag: &String| left(job, "tags", &format!("`{tag}` is left out: no value of an attribute of hosts"));
+    let left_out =
+        |tag: &String| left(job, "tags", &format!("`{tag}` is left out: it is not a valid value of a host attribute"));
     let attribute = HostAttribute { name: TAGS, all_of: fit.into_iter().cloned().collect() };
     (Some(attribute).filter(|attribute| !attribute.all_of.is_empty()), unfit.into_iter().map(left_out).collect())
 }
@@ -203,13 +204,13 @@ fn tags(job: &JobFile) -> (Option<HostAttribute>, Vec<String>) {
 fn lost(job: &JobFile) -> Vec<String> {
     let mut lost = Vec::new();
     if job.priority.is_some() {
-        lost.push(left(job, "priority", "is left out: who submits a template says how urgent it is"));
+        lost.push(left(job, "priority", "is left out: the priority is set when a template is submitted"));
     }
     if job.settings.root.is_some() {
         lost.push(left(job, "root", "is left out: add `--root` to the commands of the template"));
     }
     if !job.measures.regions.is_empty() {
-        lost.push(left(job, "regions", "and contrasts are left out: `femc sweep` measures them, and no task does"));
+        lost.push(left(job, "regions", "and contrasts are left out: `femc sweep` measures them, tasks do not"));
     }
     lost
 }

@@ -45,7 +45,7 @@ pub fn import(template: &Template, out: &Path) -> Result<Imported, TemplateError
     let (variants, twice) = variants(template, tasks)?;
     if twice > 0 {
         left_out.push(
-            template.line_about("steps.0.parameterSpace", format!("{twice} tasks do what others do: once is enough")),
+            template.line_about("steps.0.parameterSpace", format!("{twice} tasks repeat other tasks and are left out")),
         );
     }
     let axes = axes(template, &variants);
@@ -66,13 +66,11 @@ pub fn import(template: &Template, out: &Path) -> Result<Imported, TemplateError
 fn simple(template: &Template) -> Result<Vec<String>, TemplateError> {
     let (job, written) = (&template.job, &template.written);
     if job.steps.len() > 1 {
-        return Err(template.fault("steps.1", "a sweep is one step; give a template of each"));
+        return Err(template.fault("steps.1", "a sweep has one step; write a template for each step"));
     }
     let step = &written.steps[0];
     if step.let_bindings.is_some() || step.script.as_ref().is_some_and(|script| script.let_bindings.is_some()) {
-        return Err(
-            template.fault("steps.0", "`let` is not understood here; write the expressions where they are used")
-        );
+        return Err(template.fault("steps.0", "`let` is not supported; write the expressions where they are used"));
     }
     let mut left_out = Vec::new();
     let mut leave = |is_there: bool, at: &str, why: &str| {
@@ -80,12 +78,16 @@ fn simple(template: &Template) -> Result<Vec<String>, TemplateError> {
             left_out.push(template.line_about(at, format!("is left out: {why}")));
         }
     };
-    let workers = "femc's workers set up nothing before a task";
+    let workers = "femc's workers do not set up environments";
     leave(job.job_environments.is_some(), "jobEnvironments", workers);
     leave(job.steps[0].step_environments.is_some(), "steps.0.stepEnvironments", workers);
-    leave(job.steps[0].script.embedded_files.is_some(), "steps.0.script.embeddedFiles", "the command line does it all");
+    leave(
+        job.steps[0].script.embedded_files.is_some(),
+        "steps.0.script.embeddedFiles",
+        "`femc render` needs no embedded files",
+    );
     let action = template.action();
-    leave(action.timeout.is_some(), &format!("{RUN}.timeout"), "a task of a farm ends when it makes no progress");
+    leave(action.timeout.is_some(), &format!("{RUN}.timeout"), "the farm ends tasks that make no progress");
     leave(action.cancelation.is_some(), &format!("{RUN}.cancelation"), "a cancelled task ends within a second");
     Ok(left_out)
 }
@@ -103,14 +105,16 @@ fn read(template: &Template) -> Result<Vec<Written>, TemplateError> {
 /// Returns the scene and settings that all tasks must have in common.
 fn common(template: &Template, tasks: &[Written]) -> Result<(PathBuf, Rest), TemplateError> {
     let args = format!("{RUN}.args");
-    let Some(first) = tasks.first() else { return Err(template.fault("steps.0.parameterSpace", "it has no tasks")) };
+    let Some(first) = tasks.first() else {
+        return Err(template.fault("steps.0.parameterSpace", "the template has no tasks"));
+    };
     if let Some(other) = tasks.iter().find(|task| task.scene != first.scene) {
         let (a, b) = (first.scene.display(), other.scene.display());
-        return Err(template.fault(&args, format!("a sweep has one scene, and this has {a} and {b}")));
+        return Err(template.fault(&args, format!("a sweep has one scene, but the template has {a} and {b}")));
     }
     if first.scene.extension().is_some_and(|extension| extension == "toml") {
         let scene = first.scene.display();
-        return Err(template.fault(&args, format!("{scene} is a job file already; `femc sweep` takes it")));
+        return Err(template.fault(&args, format!("{scene} is already a job file; run it with `femc sweep`")));
     }
     if tasks.iter().any(|task| task.rest != first.rest) {
         return Err(template.fault(&args, "--workers, --threads and --stats cannot differ from task to task"));
@@ -204,7 +208,7 @@ fn axes(template: &Template, variants: &Variants) -> Vec<String> {
 }
 
 fn heading(template: &Template) -> Vec<String> {
-    let mut lines = vec![format!("{}, of the Open Job Description template {}", template.job.name, template.file())];
+    let mut lines = vec![format!("{}, from the Open Job Description template {}", template.job.name, template.file())];
     lines.extend(template.job.description.iter().flat_map(|text| text.lines()).map(str::to_owned));
     lines.iter().map(|line| format!("# {}", line.replace(char::is_control, " "))).collect()
 }
@@ -265,7 +269,7 @@ fn tags(template: &Template) -> (Vec<String>, Vec<String>) {
     };
     let (mut tags, mut lost) = (Vec::new(), Vec::new());
     let at = "steps.0.hostRequirements";
-    let why = format!("is left out: workers are chosen by tags alone, which are `{TAGS}`, allOf");
+    let why = format!("is left out: only tags select workers (attribute `{TAGS}`, allOf)");
     for (n, attribute) in attributes.iter().flatten().enumerate() {
         match (&attribute.any_of, &attribute.all_of) {
             (None, Some(all)) if attribute.name.eq_ignore_ascii_case(TAGS) => tags.extend(all.iter().cloned()),

@@ -28,11 +28,11 @@ use template::{Template, TemplateError};
 /// Convert Open Job Description templates into sweeps, and jobs into templates
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc openjd export fog.toml -o fog.yaml --chunk 10   # each task: `femc render` of a variant and of 10 frames\n  \
-    openjd run fog.yaml                                  # or submitted to any farm that speaks it\n  \
+    femc openjd export fog.toml -o fog.yaml --chunk 10   # each task renders 10 frames of a variant\n  \
+    openjd run fog.yaml                                  # or submit it to any farm that supports the format\n  \
     femc openjd import fog.yaml -o fog.toml -p Scene=scenes/roundabout.mgf\n  \
     femc sweep fog.toml -o fog\n\n\
-    docs/openjd.md says what maps and what does not; what is left out is printed on stderr, one line each.")]
+    docs/openjd.md lists what can be converted. Each part that is left out is printed on stderr, on one line.")]
 pub struct OpenjdArgs {
     #[command(subcommand)]
     command: OpenjdCommand,
@@ -108,7 +108,9 @@ fn export(args: &ExportArgs, say: Say) -> Result<Exit, Failure> {
     exported.left_out.iter().for_each(|line| say.note(format!("warning: {line}")));
     if let more @ 1.. = base.others() {
         let files = human::count(more as u64, "further file");
-        say.note(format!("warning: the scene has {files}, which a template cannot name: tasks need them beside it"));
+        say.note(format!(
+            "warning: the scene has {files} that a template cannot list: tasks need them beside the scene"
+        ));
     }
     Ok(Exit::Done)
 }

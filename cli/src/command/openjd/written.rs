@@ -64,16 +64,16 @@ impl Written {
         let program = line.first().map(String::as_str).unwrap_or_default();
         let name = Path::new(program).file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         if name.strip_suffix(".exe").unwrap_or(&name) != "femc" {
-            return Err((Word::Command, format!("only `femc render` becomes a sweep, and this runs `{program}`")));
+            return Err((Word::Command, format!("only `femc render` can become a sweep, but this runs `{program}`")));
         }
         let wrong = |what: String| Err((Word::Arguments, what));
         match Line::try_parse_from(line).map(|line| line.command) {
-            Ok(Command::Render(RenderArgs { replay: Some(_), .. })) => {
-                wrong("--replay renders one frame again by what its file says; a sweep has no such file".to_owned())
-            }
+            Ok(Command::Render(RenderArgs { replay: Some(_), .. })) => wrong(
+                "--replay renders one frame again with the settings in its file; a sweep cannot do this".to_owned(),
+            ),
             Ok(Command::Render(args)) => Ok(Self::of(args)),
             Err(error) if error.kind() == ErrorKind::InvalidSubcommand => {
-                wrong("only `femc render` becomes a sweep, and this is another command of femc".to_owned())
+                wrong("only `femc render` can become a sweep, but this is another command of femc".to_owned())
             }
             Err(error) => {
                 let message = error.to_string();

@@ -114,7 +114,7 @@ async fn frames(
             if status.state != JobState::Done {
                 let mut lines = show::trouble(&status);
                 lines.push(format!(
-                    "{} of {} frames are finished; the same command tries the others again",
+                    "{} of {} frames are finished; rerun the command to retry the others",
                     status.frames_done, status.frames_total
                 ));
                 return Err(failed(lines.join("\n")));
@@ -129,7 +129,7 @@ async fn frames(
                 progress.finish();
                 let done = order.frames.len() - order.missing.len() + written.len();
                 return Err(interrupted(format!(
-                    "interrupted: {done} of {} frames are finished in {}; the same command goes on from there",
+                    "interrupted: {done} of {} frames are finished in {}; rerun the command to resume",
                     order.frames.len(), order.target.display()
                 )));
             }

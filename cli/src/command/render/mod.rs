@@ -42,9 +42,9 @@ use there::Wanted;
     femc render scenes/cornell-fog.mgf -o again.exr --replay cornell.exr    # the same pixels\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --report cornell.html    # where the time went\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --layers direct,indirect --layer fog='C.*V.*'\n  \
-    femc render scenes/glossy.mgf -o glossy.exr --style oil    # glossy.painted.png, too\n\n\
-    A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame \
-    that was interrupted keeps its samples. Frames whose scene or settings differ are rendered anew.")]
+    femc render scenes/glossy.mgf -o glossy.exr --style oil    # also writes glossy.painted.png\n\n\
+    A second run with the same OUT and settings renders what is missing: finished frames are kept, and an interrupted frame \
+    keeps its samples. Frames whose scene or settings differ are rendered again.")]
 pub struct RenderArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE")]
@@ -115,9 +115,9 @@ pub fn run(mut args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         ..Report::default()
     };
     if missing.is_empty() {
-        say.note(format!("{}: finished before, with this scene and these settings", target.display()));
+        say.note(format!("{}: already finished with this scene and these settings", target.display()));
         if report_file.is_some() {
-            say.warning("--report: nothing was rendered, so there is nothing to tell; --fresh renders anew");
+            say.warning("--report: nothing was rendered, so there is no report; --fresh renders all frames again");
         }
     } else {
         asked.explain(say);
@@ -183,12 +183,12 @@ fn check_pictures(
     if target.is_picture() && wants_more {
         let out = target.display();
         return Err(usage(format!(
-            "-o {out} is a picture, and --preview, --video and --contact-sheet are made of EXR files; give NAME.exr or a folder"
+            "-o {out} is a picture, but --preview, --video and --contact-sheet need EXR files; give NAME.exr or a folder"
         )));
     }
     if exposure.is_some() && !target.is_picture() && !wants_more && !is_painted {
         return Err(usage(
-            "--exposure is of pictures, and EXR files have none; give -o NAME.png, --preview, --video, --contact-sheet or --style",
+            "--exposure is only for pictures, not for EXR files; give -o NAME.png, --preview, --video, --contact-sheet or --style",
         ));
     }
     Ok(())
@@ -206,10 +206,13 @@ fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Made, Failure> {
     let (out, all) = (target.display(), human::count(frames.len() as u64, "frame"));
     let others = missing.iter().filter(|&&frame| target.path(frame).exists()).count();
     match found {
-        Found::Same => say.note(format!("{out}: going on, {} of {all} finished", frames.len() - missing.len())),
+        Found::Same => say.note(format!("{out}: resuming, {} of {all} finished", frames.len() - missing.len())),
         Found::Nothing if others == 0 => {}
         Found::Nothing | Found::Other => {
-            say.note(format!("{out}: what is there has another scene or other settings, or is another build's of the engine; rendering anew"));
+            say.note(format!(
+                "{out}: the existing frames have another scene, other settings or another build of the engine; \
+                rendering them again"
+            ));
         }
     }
     let made = drive::run(order, &state, say)?;

@@ -57,7 +57,7 @@ impl PaintingArgs {
         self.style()?;
         let names = styles::names().collect::<Vec<_>>().join(", ");
         Err(usage(format!(
-            "--style {}: a farm paints in the styles that its workers have: {names}; paint what was fetched with femc stylize",
+            "--style {}: a farm only has the styles {names}; paint fetched frames in other styles with `femc stylize`",
             style.display()
         )))
     }

@@ -144,7 +144,7 @@ impl Report {
             };
             let scene = &self.scene;
             say.warning(format!(
-                "no sample of {frames} met light; `femc check {scene}` names lamps that light nothing"
+                "no sample of {frames} met light; `femc check {scene}` lists lamps that light nothing"
             ));
         }
         if self.bad_samples > 0 {
@@ -182,7 +182,7 @@ impl Report {
         line += &format!(", {}", human::seconds(self.seconds));
         let kept = self.frames.len() - self.rendered.min(self.frames.len());
         if kept > 0 {
-            line += &format!(" ({} finished before)", human::count(kept as u64, "frame"));
+            line += &format!(" ({} already finished)", human::count(kept as u64, "frame"));
         }
         say.result(line);
         for made in [&self.video, &self.contact_sheet, &self.report].into_iter().flatten() {

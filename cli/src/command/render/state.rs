@@ -48,13 +48,13 @@ impl State {
     /// Opens the state in `folder`, which is created if missing. A state with another identity is removed.
     pub fn open(folder: &Path, identity: &Identity, old: Old) -> Result<(Self, Found), Failure> {
         let at = |what: &str, e: &dyn std::fmt::Display| failed(format!("{}: {what}: {e}", folder.display()));
-        fs::create_dir_all(folder).map_err(|e| at("cannot be made", &e))?;
+        fs::create_dir_all(folder).map_err(|e| at("cannot be created", &e))?;
         let lock = File::create(folder.join("lock")).map_err(|e| at("cannot be written", &e))?;
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
                 return Err(failed(format!(
-                    "{}: another femc renders there; wait for it, or give another OUT",
+                    "{}: another femc is rendering there; wait for it, or give another OUT",
                     folder.display()
                 )));
             }

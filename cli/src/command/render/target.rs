@@ -37,7 +37,7 @@ impl Target {
                 Err(usage(format!("-o {shown}: frames are written as EXR or PNG; give NAME.exr or NAME.png")))
             }
             "mp4" | "mkv" | "webm" | "mov" | "gif" | "apng" => Err(usage(format!(
-                "-o {shown}: OUT is for the frames; give a folder, and --video {shown} for the clip"
+                "-o {shown}: OUT is only for frames; give a folder, and --video {shown} for the clip"
             ))),
             _ if out.is_file() => Err(usage(format!(
                 "-o {shown} is a file that does not end in .exr or .png; give NAME.exr for one frame, or a folder"
@@ -54,12 +54,12 @@ impl Target {
                 let last = frames.last().copied().unwrap_or(*first);
                 let path = path.display();
                 say.note(format!(
-                    "{path} is one image: rendering frame {first} of {first}..{last} (a folder as OUT gets all)"
+                    "{path} is one image: rendering only frame {first} of {first}..{last} (give a folder as OUT for all frames)"
                 ));
                 Ok(vec![*first])
             }
             (Self::Image(path), [_, _, ..], FramesChosen::Typed) => Err(usage(format!(
-                "-o {}: --frames chooses {} frames, and such a name is one; give a folder, or one frame",
+                "-o {}: --frames selects {} frames, but this name is for one frame; give a folder, or one frame",
                 path.display(),
                 frames.len()
             ))),

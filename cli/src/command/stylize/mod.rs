@@ -25,10 +25,10 @@ use std::sync::{Mutex, PoisonError};
     femc stylize --style oil --target room.layers.exr -o room.png\n  \
     femc stylize --style painted.png --source ball.layers.exr --target room.layers.exr -o room.png\n  \
     femc stylize --style painted.png --source ball.layers.exr --target 'drive/*.layers.exr' -o painted/\n\n\
-    A painting lies pixel on pixel over its source, a render. What guides are the layers of light that both source and target \
-    have, or else the pictures themselves. Source and targets are each shown under an exposure of their own; all targets have the \
-    same. Several targets are painted one after the other, as frames of a clip: with layers motion (and depth) each holds on \
-    to what was painted before. The same files and settings give the same pictures with any number of threads.")]
+    A painting is painted over its source, a render, pixel by pixel. The guides are the layers of light that both source and target \
+    have; without such layers, the pictures themselves. The source has its own exposure; all targets share another. Several \
+    targets are painted one after the other, as frames of a clip: with layers motion (and depth), each frame follows the \
+    painting of the frames before it. The same files and settings give the same pictures with any number of threads.")]
 pub struct StylizeArgs {
     /// Painting, of the source's size; or a style that comes with femc: hatching, watercolor, oil, cel
     #[arg(long, value_name = "PAINTED.png")]
@@ -121,7 +121,10 @@ pub fn run(args: &StylizeArgs, say: Say) -> Result<Exit, Failure> {
         print(say, &report);
     }
     if report.frames.len() > 1 && !is_moved {
-        say.note("each target was painted anew: they have no layer `motion` to hold on to; femc render --layers motion,depth makes it");
+        say.note(
+            "each target was painted independently, because they have no layer `motion`; \
+                `femc render --layers motion,depth` writes it",
+        );
     }
     Ok(Exit::Done)
 }
@@ -182,7 +185,7 @@ impl Order<'_> {
         let mut first = Some(first);
         let (mut rows, mut last): (Vec<Row>, Option<(Stylized, GuideFrame)>) = (Vec::new(), None);
         if let Some(kept) = &mut kept {
-            say.note(format!("{}: going on, {} of {} painted", part.display(), kept.frame, targets.len()));
+            say.note(format!("{}: resuming, {} of {} painted", part.display(), kept.frame, targets.len()));
             rows = std::mem::take(&mut kept.rows);
             if let Some(target) = kept.frame.checked_sub(1).map(|at| &targets[at]) {
                 let frame = guide_frame("--target", target)?;
@@ -214,7 +217,7 @@ impl Order<'_> {
                 },
                 level: &|begun| {
                     if let Err(failure) = keep(Some(begun)) {
-                        say.warning(format!("{}: what is done cannot be kept: {}", part.display(), failure.message));
+                        say.warning(format!("{}: cannot save the progress: {}", part.display(), failure.message));
                     }
                 },
             };
@@ -294,7 +297,10 @@ impl StylizeArgs {
             [_] if is_png => return Ok(vec![self.out.clone()]),
             [_, _, ..] if is_png => {
                 let count = human::count(targets.len() as u64, "target");
-                return Err(usage(format!("-o {}: {count}, one picture; give a folder, FOLDER/", self.out.display())));
+                return Err(usage(format!(
+                    "-o {}: {count}, but this is one picture; give a folder, FOLDER/",
+                    self.out.display()
+                )));
             }
             _ => {}
         }
@@ -313,7 +319,10 @@ impl StylizeArgs {
         };
         let places: Vec<PathBuf> = targets.iter().map(place).collect();
         match (1..places.len()).find(|&at| places[..at].contains(&places[at])) {
-            Some(at) => Err(usage(format!("--target: two files would be painted as {}", places[at].display()))),
+            Some(at) => Err(usage(format!(
+                "--target: two files would both be painted as {}; rename one of them",
+                places[at].display()
+            ))),
             None => Ok(places),
         }
     }
@@ -336,8 +345,8 @@ pub fn common_curve(exposure: Exposure, targets: &[PathBuf]) -> Result<ToneCurve
 fn told(error: &StylizeError, path: &Path) -> Failure {
     let path = path.display();
     match error {
-        StylizeError::Mu(mu) => usage(format!("--mu {mu}: give a number from 0 on")),
-        StylizeError::Balance(balance) => usage(format!("--balance {balance}: give a number from 0 on")),
+        StylizeError::Mu(mu) => usage(format!("--mu {mu}: give a number that is not negative")),
+        StylizeError::Balance(balance) => usage(format!("--balance {balance}: give a number that is not negative")),
         StylizeError::Boil(boil) => usage(format!("--boil {boil}: give a number from 0 to 1")),
         StylizeError::Patch(patch) => usage(format!("--patch {patch}: give an odd number from 3 to 15")),
         StylizeError::Levels { most: 0, patch, .. } => {
@@ -347,13 +356,13 @@ fn told(error: &StylizeError, path: &Path) -> Failure {
             usage(format!("--levels {levels}: images of this size and patches of {patch} pixels allow 1 to {most}"))
         }
         StylizeError::NothingInCommon { source_guides, target_guides } => failed(format!(
-            "the source has the layers {}, {path} {}: none in common; render both with --layers guides",
+            "the source has the layers {}, {path} has {}: no layer in common; render both with --layers guides",
             source_guides.join(", "),
             target_guides.join(", ")
         )),
-        StylizeError::NoGuide(name) => failed(format!("{path}: it has no layer `{name}`; see --guides")),
+        StylizeError::NoGuide(name) => failed(format!("{path}: no layer `{name}`; see --guides")),
         StylizeError::BeforeSize { .. } => {
-            failed(format!("{path}: {error}; frames of a clip have one size; paint it by itself"))
+            failed(format!("{path}: {error}; all frames of a clip have one size: paint this file separately"))
         }
         StylizeError::NotFinite { .. } => failed(format!("{path}: {error}; render or repair the image")),
         StylizeError::Shape { .. }

@@ -164,7 +164,7 @@ pub async fn collect(
                 folder.save()?;
                 let open: usize = queued.iter().map(|queued| queued.open.len()).sum();
                 return Err(interrupted(format!(
-                    "interrupted: {open} frames are not in {} yet; the same command goes on from there",
+                    "interrupted: {open} frames are not in {} yet; rerun the command to resume",
                     folder.path().display()
                 )));
             }

@@ -84,7 +84,7 @@ impl Folder {
         let file = path.join(MANIFEST);
         let manifest: Manifest = match fs::read(&file) {
             Ok(text) => serde_json::from_slice(&text).map_err(|e| {
-                failed(format!("{}: {e}; it was not written by this program: move it away", file.display()))
+                failed(format!("{}: {e}; this file was not written by femc: move it away", file.display()))
             })?,
             Err(e) if e.kind() == ErrorKind::NotFound => Manifest::default(),
             Err(e) => return Err(failed(format!("{}: {e}", file.display()))),

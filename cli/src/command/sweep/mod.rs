@@ -34,22 +34,22 @@ use work::{Planned, Work};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc sweep fog.toml                     # queue all variants on the farm; prints their jobs\n  \
-    femc sweep fog.toml -o fog              # the same, wait, and collect the frames\n  \
+    femc sweep fog.toml -o fog              # also wait, and collect the frames\n  \
     femc sweep fog.toml -o fog --local      # without a farm: render in this process\n  \
     femc plan fog.toml                      # what is shared, and what that saves\n\n\
-    [sweep] of the job file names the axes; mode = \"zip\" pairs their values:\n  \
+    [sweep] in the job file lists the axes; mode = \"zip\" pairs their values:\n  \
     [sweep]\n  \
     \"medium.fog.sigma_s\" = [0.01, 0.02, 0.05]\n  \
     \"material.lamp.ed\" = { from = 1e4, to = 1e5, steps = 4, scale = \"log\" }\n  \
     camera = [\"driver\", \"overview\"]\n  \
-    [regions]                               # pixels x0, y0, x1, y1; the last two not included\n  \
+    [regions]                               # pixels x0, y0, x1, y1; x1 and y1 excluded\n  \
     sign = [120, 40, 136, 56]\n  \
     road = [100, 60, 156, 70]\n  \
-    [contrasts]                             # Weber's: (sign - road) / road\n  \
+    [contrasts]                             # Weber contrast: (sign - road) / road\n  \
     seen = [\"sign\", \"road\"]\n\n\
-    DIR gets a folder for each variant, variants.csv and frames.csv (and the same as Parquet), contact.png, and \
-    sweep.json, by which the same command goes on after a stop: frames that are there stay, frames that are equal \
-    are rendered once and linked, and of a sweep with more values only what is new runs. At most 4096 variants.")]
+    DIR gets a folder for each variant, variants.csv and frames.csv (also as Parquet), contact.png, and sweep.json. Rerun the \
+    command to resume after a stop: existing frames are kept, equal frames are rendered once and linked, and if a sweep gets \
+    more values, only the new variants run. At most 4096 variants.")]
 pub struct SweepArgs {
     /// Job file with a `[sweep]`
     #[arg(value_name = "JOB.toml")]
@@ -99,7 +99,7 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
     if let Some(other) = folder.other_engine() {
         let (path, own) = (out.display(), femc_worker::engine());
         say.note(format!(
-            "{path}: its frames are of another build of the engine ({other}, this is {own}); rendering anew"
+            "{path}: its frames are from another build of the engine ({other}, this is {own}); rendering them again"
         ));
     }
     let shares = Shares::count(&work, Some(&folder));
@@ -144,7 +144,7 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
     }
     folder.save()?;
     let frames: usize = left.iter().map(|(_, frames)| frames.len()).sum();
-    troubles.push(format!("{frames} frames are missing in {}; the same command tries them again", out.display()));
+    troubles.push(format!("{frames} frames are missing in {}; rerun the command to retry them", out.display()));
     Err(failed(troubles.join("\n")))
 }
 

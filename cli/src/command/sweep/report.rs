@@ -88,7 +88,7 @@ impl Report {
         let Counts { frames, rendered, linked, kept, .. } = self.shares;
         let variants = human::count(self.variants.len() as u64, "variant");
         say.result(format!(
-            "{}: {variants}, {frames} frames ({rendered} rendered, {linked} linked, {kept} finished before), {}",
+            "{}: {variants}, {frames} frames ({rendered} rendered, {linked} linked, {kept} already finished), {}",
             self.out,
             human::seconds(self.seconds)
         ));

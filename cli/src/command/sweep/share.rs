@@ -63,18 +63,18 @@ impl Shares {
         let Self { variants, frames, there, linked, render, worlds, first_passes, samples_saved } = *self;
         let count = |n: usize, what: &str| human::count(n as u64, what);
         let mut lines = vec![format!(
-            "{}, {}: {render} to render, {linked} the same as others and linked, {there} finished before",
+            "{}, {}: {render} to render, {linked} equal to others and linked, {there} already finished",
             count(variants, "variant"),
             count(frames, "frame")
         )];
         if render > 0 {
             let prepared = match worlds {
-                _ if worlds == render => "every frame has a world of its own".to_owned(),
-                1 => format!("{} have one world and differ in the camera alone", count(render, "frame")),
-                _ => format!("{} have {worlds} worlds; the others differ in the camera alone", count(render, "frame")),
+                _ if worlds == render => "every frame has its own world".to_owned(),
+                1 => format!("{} share one world and differ only in the camera", count(render, "frame")),
+                _ => format!("{} have {worlds} worlds; the others differ only in the camera", count(render, "frame")),
             };
             let variants = count(variants, "variant");
-            lines.push(format!("the scene is read once for {variants}, what does not move is built once; {prepared}"));
+            lines.push(format!("the scene is read once for {variants}, static parts are built once; {prepared}"));
         }
         if first_passes > 0 {
             let [solved, frames] = [(first_passes, "time"), (render, "frame")].map(|(n, what)| count(n, what));

@@ -78,7 +78,7 @@ impl Work {
         let keys = typed_keys(typed);
         if let Some(axis) = sweep.axes.iter().find(|axis| keys.contains(axis.name.as_str())) {
             return Err(usage(format!(
-                "{}: `{}` is an axis of the sweep, and given on the command line too; leave one of them out",
+                "{}: `{}` is an axis of the sweep, but also given on the command line; remove one of them",
                 job.shown(axis.place),
                 axis.name
             )));

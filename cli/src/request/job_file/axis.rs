@@ -62,12 +62,12 @@ impl Axis {
                 .map(|number| Choice::number(&name, number, value.span().start, text))
                 .collect::<Result<_, _>>()?,
             _ => {
-                let what = format!("`{name}`: an axis is a list of values, or {{ from = 1, to = 10, steps = 4 }}");
+                let what = format!("`{name}`: an axis must be a list of values, or {{ from = 1, to = 10, steps = 4 }}");
                 return Err(Fault::new(value.span().start, what));
             }
         };
         match choices.len() {
-            0 => Err(Fault::new(value.span().start, format!("`{name}` has no values; take it out, or give it some"))),
+            0 => Err(Fault::new(value.span().start, format!("`{name}` has no values; remove it, or give it values"))),
             n if n > MAX_VARIANTS => {
                 Err(Fault::new(offset, format!("`{name}` has {n} values; a sweep has at most {MAX_VARIANTS} variants")))
             }

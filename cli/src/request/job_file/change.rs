@@ -61,10 +61,10 @@ impl Change {
     /// Checks the value as the command line checks the flag.
     pub(super) fn check(&self) -> Result<(), &'static str> {
         match self {
-            Self::Spp(0) => Err("spp is at least 1"),
-            Self::Error(e) if !(e.is_finite() && *e > 0.0) => Err("error is a relative error > 0, like 0.05"),
-            Self::Time(t) if !(t.seconds.is_finite() && t.seconds > 0.0) => Err("a time is > 0"),
-            Self::Scalar(Override { value, .. }) if !value.is_finite() => Err("it is no finite number"),
+            Self::Spp(0) => Err("spp must be at least 1"),
+            Self::Error(e) if !(e.is_finite() && *e > 0.0) => Err("error must be a relative error > 0, like 0.05"),
+            Self::Time(t) if !(t.seconds.is_finite() && t.seconds > 0.0) => Err("time must be > 0"),
+            Self::Scalar(Override { value, .. }) if !value.is_finite() => Err("the value must be a finite number"),
             _ => Ok(()),
         }
     }

@@ -48,18 +48,21 @@ impl Measures {
         text: &str,
     ) -> Result<Self, Fault> {
         let mut measures = Self::default();
-        for (name, _, value) in entries(regions, "[regions] has lines like sign = [10, 20, 30, 40]")? {
+        for (name, _, value) in entries(regions, "[regions] must have lines like sign = [10, 20, 30, 40]")? {
             measures.regions.push(region(name, value, text)?);
         }
         let known: BTreeMap<&str, ()> = measures.regions.iter().map(|region| (region.name.as_str(), ())).collect();
-        for (name, _, value) in entries(contrasts, "[contrasts] has lines like seen = [\"sign\", \"road\"]")? {
+        for (name, _, value) in entries(contrasts, "[contrasts] must have lines like seen = [\"sign\", \"road\"]")? {
             let at = value.span().start;
             let pair = <[String; 2]>::deserialize(ValueDeserializer::from(value.clone()));
             let [target, background] = pair.map_err(|_| {
-                Fault::new(at, format!("`{name}`: a contrast is [\"REGION\", \"BACKGROUND\"], two names of [regions]"))
+                Fault::new(
+                    at,
+                    format!("`{name}`: a contrast must be [\"REGION\", \"BACKGROUND\"], two names of [regions]"),
+                )
             })?;
             if let Some(lost) = [&target, &background].into_iter().find(|name| !known.contains_key(name.as_str())) {
-                return Err(Fault::new(at, format!("`{name}`: no region is called `{lost}`; [regions] names them")));
+                return Err(Fault::new(at, format!("`{name}`: unknown region `{lost}`; define it in [regions]")));
             }
             measures.contrasts.push(Contrast { name, target, background });
         }
@@ -79,11 +82,11 @@ fn entries<'a>(table: Option<&'a Spanned<DeValue<'a>>>, form: &str) -> Result<Ve
 
 fn region(name: String, value: &Spanned<DeValue<'_>>, text: &str) -> Result<Region, Fault> {
     let at = value.span().start;
-    let form = || Fault::new(at, format!("`{name}`: a region is [x0, y0, x1, y1] in pixels, x1 and y1 not part of it"));
+    let form = || Fault::new(at, format!("`{name}`: a region must be [x0, y0, x1, y1] in pixels, x1 and y1 excluded"));
     let bounds = <[u32; 4]>::deserialize(ValueDeserializer::from(value.clone())).map_err(|_| form())?;
     let [x0, y0, x1, y1] = bounds;
     if x0 >= x1 || y0 >= y1 {
-        return Err(Fault::new(at, format!("`{name}`: the region holds no pixel; x0 < x1 and y0 < y1")));
+        return Err(Fault::new(at, format!("`{name}`: the region contains no pixel; it needs x0 < x1 and y0 < y1")));
     }
     Ok(Region { name, bounds, place: Place::of(text, at) })
 }

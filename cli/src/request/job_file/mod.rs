@@ -232,13 +232,13 @@ fn check(job: &Written) -> Result<(), (&'static str, String)> {
         return Err((key, "spp, error and time exclude each other: keep one of them".to_owned()));
     }
     if job.spp == Some(0) {
-        return Err(("spp", "spp is at least 1".to_owned()));
+        return Err(("spp", "spp must be at least 1".to_owned()));
     }
     if job.error.is_some_and(|error| !(error.is_finite() && error > 0.0)) {
-        return Err(("error", "error is a relative error > 0, like 0.05".to_owned()));
+        return Err(("error", "error must be a relative error > 0, like 0.05".to_owned()));
     }
     if job.priority.is_some_and(|priority| priority > 100) {
-        return Err(("priority", "priority goes from 0 to 100".to_owned()));
+        return Err(("priority", "priority must be from 0 to 100".to_owned()));
     }
     if let Some(Err(fault)) = job.name.as_deref().map(job_name) {
         return Err(("name", fault));
@@ -248,13 +248,13 @@ fn check(job: &Written) -> Result<(), (&'static str, String)> {
         return Err((fault.field(), fault.to_string()));
     }
     if job.workers == Some(0) {
-        return Err(("workers", "workers is at least 1".to_owned()));
+        return Err(("workers", "workers must be at least 1".to_owned()));
     }
     if job.threads == Some(0) {
-        return Err(("threads", "threads is at least 1".to_owned()));
+        return Err(("threads", "threads must be at least 1".to_owned()));
     }
     if let Some((selector, value)) = job.set.iter().find(|(_, value)| !value.is_finite()) {
-        return Err(("[set]", format!("`{selector}` = {value} is no finite number")));
+        return Err(("[set]", format!("`{selector}` = {value} is not a finite number")));
     }
     Ok(())
 }
@@ -325,14 +325,14 @@ mod tests {
     #[test]
     fn faults_of_value_are_named_with_their_line() {
         for (line, fault) in [
-            ("spp = 0", "spp is at least 1"),
+            ("spp = 0", "spp must be at least 1"),
             ("spp = 4\nerror = 0.1", "exclude each other"),
             ("error = -1.0", "relative error"),
             ("priority = 101", "0 to 100"),
-            ("name = \"a/b\"", "named by it"),
+            ("name = \"a/b\"", "part of file names"),
             ("comment = \"a\\nb\"", "one line"),
             ("labels = { \"\" = \"x\" }", "label name"),
-            ("threads = 0", "threads is at least 1"),
+            ("threads = 0", "threads must be at least 1"),
             ("frames = \"5..1\"", "comes before"),
             ("size = \"4\"", "320x180"),
         ] {

@@ -33,9 +33,9 @@ impl Range {
         for (key, value) in table {
             if !["from", "to", "steps", "scale"].contains(&key.get_ref().as_ref()) {
                 let what = if matches!(value.get_ref(), DeValue::Array(_) | DeValue::Table(_)) {
-                    format!("a selector stands in quotes: \"{name}.{}...\" = ...", key.get_ref())
+                    format!("a selector needs quotes: \"{name}.{}...\" = ...", key.get_ref())
                 } else {
-                    format!("`{name}`: a range has from, to, steps and scale, and no `{}`", key.get_ref())
+                    format!("`{name}`: a range has from, to, steps and scale, but no `{}`", key.get_ref())
                 };
                 return Err(Fault::new(key.span().start, what));
             }
@@ -48,7 +48,7 @@ impl Range {
         let number = |key: &str| {
             let value = value(key)?;
             let number = f64::deserialize(ValueDeserializer::from(value.clone())).ok().filter(|n| n.is_finite());
-            number.ok_or_else(|| Fault::new(value.span().start, format!("`{name}`: {key} is a finite number")))
+            number.ok_or_else(|| Fault::new(value.span().start, format!("`{name}`: {key} must be a finite number")))
         };
         let range = Self {
             from: number("from")?,
@@ -57,7 +57,7 @@ impl Range {
             scale: scale(name, table)?,
         };
         if range.scale == Scale::Log && !(range.from > 0.0 && range.to > 0.0) {
-            return Err(Fault::new(offset, format!("`{name}`: on a log scale both ends are more than 0")));
+            return Err(Fault::new(offset, format!("`{name}`: on a log scale, both ends must be greater than 0")));
         }
         if range.from == range.to && range.steps > 1 {
             return Err(Fault::new(offset, format!("`{name}`: from and to are equal; all steps would be the same")));
@@ -92,7 +92,7 @@ fn rounded(number: f64) -> f64 {
 fn steps(name: &str, value: &Spanned<DeValue<'_>>) -> Result<usize, Fault> {
     let steps = usize::deserialize(ValueDeserializer::from(value.clone())).ok();
     let wrong =
-        || Fault::new(value.span().start, format!("`{name}`: steps is a whole number from 1 to {MAX_VARIANTS}"));
+        || Fault::new(value.span().start, format!("`{name}`: steps must be a whole number from 1 to {MAX_VARIANTS}"));
     steps.filter(|steps| (1..=MAX_VARIANTS).contains(steps)).ok_or_else(wrong)
 }
 
@@ -101,7 +101,7 @@ fn scale(name: &str, table: &DeTable<'_>) -> Result<Scale, Fault> {
     match value.get_ref() {
         DeValue::String(text) if text == "linear" => Ok(Scale::Linear),
         DeValue::String(text) if text == "log" => Ok(Scale::Log),
-        _ => Err(Fault::new(value.span().start, format!("`{name}`: scale is \"linear\" or \"log\""))),
+        _ => Err(Fault::new(value.span().start, format!("`{name}`: scale must be \"linear\" or \"log\""))),
     }
 }
 

@@ -44,7 +44,7 @@ impl Sweep {
     pub fn read(table: &Spanned<DeValue<'_>>, text: &str) -> Result<Self, Fault> {
         let begin = table.span().start;
         let DeValue::Table(entries) = table.get_ref() else {
-            return Err(Fault::new(begin, "sweep is a table: [sweep], then a line for each axis"));
+            return Err(Fault::new(begin, "sweep must be a table: [sweep], then a line for each axis"));
         };
         let mode = mode(entries)?;
         let mut keys: Vec<_> = entries.iter().filter(|(key, _)| key.get_ref() != "mode").collect();
@@ -99,7 +99,7 @@ impl Sweep {
         if let Some(other) = self.axes.iter().find(|axis| axis.choices.len() != first.choices.len()) {
             let [a, b] = [first, other].map(|axis| axis.choices.len());
             let what = format!(
-                "mode = \"zip\" pairs values: `{}` has {a} of them, and `{}` has {b}; give both the same number",
+                "mode = \"zip\" pairs values: `{}` has {a} values, but `{}` has {b}; give both the same number",
                 first.name, other.name
             );
             return Err(Fault::new(other.offset, what));
@@ -107,7 +107,7 @@ impl Sweep {
         let mut seen = BTreeSet::new();
         for (at, choice) in first.choices.iter().enumerate() {
             if !seen.insert(self.axes.iter().map(|axis| axis.choices[at].text.as_str()).collect::<Vec<_>>()) {
-                return Err(Fault::new(choice.offset, "the same values stand together twice"));
+                return Err(Fault::new(choice.offset, "the same combination of values occurs twice"));
             }
         }
         Ok(())
@@ -162,6 +162,8 @@ fn mode(entries: &DeTable<'_>) -> Result<Mode, Fault> {
     match value.get_ref() {
         DeValue::String(text) if text == "grid" => Ok(Mode::Grid),
         DeValue::String(text) if text == "zip" => Ok(Mode::Zip),
-        _ => Err(Fault::new(value.span().start, "mode is \"grid\" (all combinations) or \"zip\" (value by value)")),
+        _ => {
+            Err(Fault::new(value.span().start, "mode must be \"grid\" (all combinations) or \"zip\" (value by value)"))
+        }
     }
 }

@@ -73,7 +73,7 @@ pub struct HostAttribute {
 impl Parameter {
     /// Returns the parameter for the scene file.
     pub fn scene(default: String) -> Self {
-        let description = "The scene file. What it includes lies beside it, where the tasks run, too.";
+        let description = "The scene file. On all hosts, the files that it includes must lie beside it.";
         Self { name: "Scene", r#type: "PATH", object_type: "FILE", data_flow: "IN", default, description }
     }
 

@@ -126,7 +126,7 @@ pub(crate) fn seal(mut out: Vec<u8>) -> Vec<u8> {
 
 /// Verifies magic, version and checksum, and returns a reader of the rest.
 pub(crate) fn open<'a>(magic: &[u8; 8], version: u32, bytes: &'a [u8]) -> Result<Reader<'a>, FilmError> {
-    let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("cut short"))?;
+    let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("the data are truncated"))?;
     if prefix[..magic.len()] != magic[..] {
         return Err(FilmError::Corrupt("the magic bytes are wrong"));
     }
@@ -169,7 +169,7 @@ impl<'a> Reader<'a> {
     }
 
     fn word(&mut self) -> Result<u32, FilmError> {
-        let (word, rest) = self.0.split_first_chunk().ok_or(FilmError::Corrupt("cut short"))?;
+        let (word, rest) = self.0.split_first_chunk().ok_or(FilmError::Corrupt("the data are truncated"))?;
         self.0 = rest;
         Ok(u32::from_le_bytes(*word))
     }

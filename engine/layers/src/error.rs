@@ -18,7 +18,7 @@ impl ExpressionError {
         let found = match expression.chars().nth(*at) {
             Some(found) => format!("`{found}` at character {}", at + 1),
             None if expression.is_empty() => "nothing".to_owned(),
-            None => "its end".to_owned(),
+            None => "the end of the expression".to_owned(),
         };
         // Control characters would move the caret.
         let shown: String = expression.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();

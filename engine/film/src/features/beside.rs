@@ -159,7 +159,7 @@ fn part(bytes: &[u8]) -> Result<[Option<&[u8]>; 2], FilmError> {
         return Err(NOTHING);
     }
     if lengths[0].saturating_add(lengths[1]) != rest.len() {
-        return Err(FilmError::Corrupt("cut short"));
+        return Err(FilmError::Corrupt("the data are truncated"));
     }
     let (light, features) = rest.split_at(lengths[0]);
     Ok([light, features].map(|part| (!part.is_empty()).then_some(part)))

@@ -138,7 +138,7 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
         "moves along a path",
     ),
     ("clip backwards", "time 5 1 24", "t.mgf:1:8", "at or after the start"),
-    ("no frames a second", "time 0 1 0", "t.mgf:1:10", "frames a second is 0"),
+    ("no frames a second", "time 0 1 0", "t.mgf:1:10", "frames per second is 0"),
     ("too many frames", "time 0 1e9 24", "t.mgf:1:1", "too many frames"),
     ("unknown interpolation", "path p = cubic", "t.mgf:1:10", "found `cubic`"),
     ("path twice", "path p = linear\nkey 0\npath p = linear", "t.mgf:3:6", "already defined at line 1"),

@@ -16,7 +16,7 @@ const FAR: f64 = 100.0;
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let size = scope.bounds.diagonal();
     if scope.bounds.is_empty() {
-        faults.add(Warning, Scale, WHOLE, "the scene has no surface and no luminaire", "add some");
+        faults.add(Warning, Scale, WHOLE, "the scene has no surface and no luminaire", "add a surface or a luminaire");
     } else if size > LARGEST {
         let message = format!("the scene is {} across", length(size));
         faults.add(Warning, Scale, WHOLE, message, "give lengths in meters (`xf -s` scales)");

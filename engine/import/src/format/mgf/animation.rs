@@ -18,7 +18,7 @@ impl Reader<'_> {
         args.count(3..=3, "t0 t1 fps")?;
         let start = args.number(0, "start (s)")?;
         let end = args.number_in(1, "end (s)", "at or after the start", |t| t >= start)?;
-        let fps = args.number_in(2, "frames a second", "> 0", |f| f > 0.0)?;
+        let fps = args.number_in(2, "frames per second", "> 0", |f| f > 0.0)?;
         let within = (end - start) * fps <= MAX_FRAMES;
         if !within {
             return Err(args.fault(Fault::TooMany { what: "frames", limit: MAX_FRAMES as u64 }));

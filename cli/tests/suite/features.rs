@@ -69,7 +69,7 @@ fn a_job_file_names_features_and_names_of_features_are_no_layers() {
     assert_eq!(report["rendered"], 1);
     assert!(read_channels(&place.path("out.layers.exr"), ["depth.Z", "normal.Z"]).is_ok());
     let ran = place.run("render fog.mgf -o out.exr --layers normals").exits(2);
-    assert!(ran.stderr().contains("no layers called `normals`") && ran.stderr().contains("surfaces, normal, "));
+    assert!(ran.stderr().contains("unknown layers `normals`") && ran.stderr().contains("surfaces, normal, "));
     let ran = place.run("render fog.mgf -o out.exr --layer depth=CL").exits(2);
     assert!(ran.stderr().contains("`depth`: the file has channels of that name"), "{}", ran.stderr());
 }

@@ -84,7 +84,7 @@ fn a_job_file_names_layers_and_pictures_have_one_png_each() {
     }
     place.write("bad.toml", &text.replace("\"CL\"", "\"C<LD>\""));
     let ran = place.run("render job.toml -o out.exr --layer direct=CL").exits(2);
-    assert!(ran.stderr().contains("two layers are called `direct`"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("two layers have the name `direct`"), "{}", ran.stderr());
     let ran = place.run("render bad.toml -o out.exr").exits(2);
     assert!(ran.stderr().contains("bad.toml:6:2: layer `seen`: found `D` at character 4"), "{}", ran.stderr());
     assert!(ran.stderr().contains("    C<LD>\n       ^"), "{}", ran.stderr());

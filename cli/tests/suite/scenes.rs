@@ -64,7 +64,7 @@ fn a_check_has_a_line_for_each_kind_the_bounds_and_the_lamps_with_their_flux() {
     let overlaps = line("overlapping-faces");
     assert!(overlaps.len() == 1 && overlaps[0].starts_with("house.mgf:"), "{said}");
     assert!(overlaps[0].contains("45 (overlapping-faces)") && overlaps[0].contains("--all lists them"), "{said}");
-    assert!(line("comes in through the back")[0].starts_with("house.mgf:15: warning: "), "{said}");
+    assert!(line("light enters through the back")[0].starts_with("house.mgf:15: warning: "), "{said}");
     assert_eq!(line("bounds:"), ["bounds: 4 x 4 x 9.1 m, from -2 -2 0 to 2 2 9.1"]);
     // 1000 lm/m2 from 4 pi 0.01 m2.
     assert_eq!(line("lamps:"), ["lamps: 1, 126 lm in all"]);

@@ -241,10 +241,10 @@ fn what_the_scene_refuses_is_told_with_its_place_in_the_job_file() {
     let place = place(JOB);
     for (from, to, said) in [
         ("0.05, 0.2", "0.05, -1", "j.toml:7:31: `medium.fog.sigma_s`"),
-        ("medium.fog", "medium.frog", "j.toml:7:26: no scalar of the scene is called `medium.frog.sigma_s`"),
+        ("medium.fog", "medium.frog", "j.toml:7:26: unknown scalar `medium.frog.sigma_s`"),
         ("1..2", "1..99", "j.toml:2:1: frame 99"),
         ("[sweep]\n", "[sweep]\ncamera = [\"main\", \"side\"]\n", "j.toml:7:19: "),
-        ("[sweep]\n", "[set]\n\"material.lmp.ed\" = 3\n[sweep]\n", "j.toml:7:1: no scalar of the scene"),
+        ("[sweep]\n", "[set]\n\"material.lmp.ed\" = 3\n[sweep]\n", "j.toml:7:1: unknown scalar"),
         ("[sweep]\n", "[regions]\nsign = [0, 0, 16, 17]\n[sweep]\n", "j.toml:7:8: region `sign`"),
         ("spp = 2", "spp = 0", "j.toml:3:1: spp must be at least 1"),
     ] {

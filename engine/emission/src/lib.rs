@@ -4,7 +4,10 @@
 //! reference point may lie on a surface or in a medium, so no normal is needed. The crate does not depend on scenes. The caller
 //! checks visibility.
 #![deny(missing_docs)]
-#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests compute what they expect apart from the engine"))]
+#![cfg_attr(
+    test,
+    allow(clippy::disallowed_methods, reason = "tests compute expected values independently of the engine")
+)]
 
 pub mod airlight;
 pub mod emission;

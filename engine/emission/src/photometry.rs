@@ -36,7 +36,9 @@ pub enum PhotometryError {
         axis: &'static str,
     },
     /// The number of candela values is not the product of the numbers of angles.
-    #[error("{found} candela values for {vertical} vertical and {horizontal} horizontal angles")]
+    #[error(
+        "expected one candela value for each pair of {vertical} vertical and {horizontal} horizontal angles, found {found}"
+    )]
     Count {
         /// Number of given values.
         found: usize,

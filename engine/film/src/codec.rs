@@ -84,7 +84,7 @@ impl Tile {
             return Err(FilmError::Corrupt("more samples than its ranges hold"));
         }
         if pixels.iter().flat_map(|p| p.peak).any(|peak| !(0.0..=f32::MAX).contains(&peak)) {
-            return Err(FilmError::Corrupt("impossible luminances"));
+            return Err(FilmError::Corrupt("invalid luminances"));
         }
         Ok(Self { rect, ranges, ends, pixels, bad, work })
     }
@@ -126,9 +126,9 @@ pub(crate) fn seal(mut out: Vec<u8>) -> Vec<u8> {
 
 /// Verifies magic, version and checksum, and returns a reader of the rest.
 pub(crate) fn open<'a>(magic: &[u8; 8], version: u32, bytes: &'a [u8]) -> Result<Reader<'a>, FilmError> {
-    let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("cut short"))?;
+    let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("the data are truncated"))?;
     if prefix[..magic.len()] != magic[..] {
-        return Err(FilmError::Corrupt("it begins as something else"));
+        return Err(FilmError::Corrupt("the magic bytes are wrong"));
     }
     let mut reader = Reader(&prefix[magic.len()..]);
     let found = reader.word()?;
@@ -162,14 +162,14 @@ impl<'a> Reader<'a> {
     /// Decompresses the remaining bytes, which must give `size` bytes.
     pub(crate) fn plain(self, size: usize) -> Result<Vec<u8>, FilmError> {
         if zstd::zstd_safe::get_frame_content_size(self.0).ok().flatten() != Some(size as u64) {
-            return Err(FilmError::Corrupt("pixels of another number"));
+            return Err(FilmError::Corrupt("wrong number of pixels"));
         }
         let plain = zstd::bulk::decompress(self.0, size).map_err(|_| FilmError::Corrupt("pixels do not decompress"))?;
-        if plain.len() == size { Ok(plain) } else { Err(FilmError::Corrupt("pixels of another number")) }
+        if plain.len() == size { Ok(plain) } else { Err(FilmError::Corrupt("wrong number of pixels")) }
     }
 
     fn word(&mut self) -> Result<u32, FilmError> {
-        let (word, rest) = self.0.split_first_chunk().ok_or(FilmError::Corrupt("cut short"))?;
+        let (word, rest) = self.0.split_first_chunk().ok_or(FilmError::Corrupt("the data are truncated"))?;
         self.0 = rest;
         Ok(u32::from_le_bytes(*word))
     }
@@ -194,7 +194,7 @@ impl<'a> Reader<'a> {
         // Every tile takes at least one more byte. Refuse a header that claims more tiles, before it makes the reader allocate
         // memory for them.
         if tiles.is_empty() || tiles.end > tiling.count() || tiles.len() > self.0.len() {
-            return Err(FilmError::Corrupt("impossible tiles"));
+            return Err(FilmError::Corrupt("invalid tiles"));
         }
         Ok((tiling, tiles))
     }
@@ -209,7 +209,7 @@ impl<'a> Reader<'a> {
     pub(crate) fn ranges(&mut self) -> Result<Vec<SampleRange>, FilmError> {
         let count = self.word()?;
         if !(1..=MAX_RANGES).contains(&count) || self.0.len() < 8 * count as usize {
-            return Err(FilmError::Corrupt("impossible number of sample ranges"));
+            return Err(FilmError::Corrupt("invalid number of sample ranges"));
         }
         let mut ranges = Vec::with_capacity(count as usize);
         let mut past = 0;
@@ -233,7 +233,7 @@ impl<'a> Reader<'a> {
         let first = match (present, BadKind::ALL.get(kind as usize)) {
             (0, _) => None,
             (1, Some(&kind)) if rect.contains(x, y) => Some(BadSample { y, x, sample, kind }),
-            _ => return Err(FilmError::Corrupt("impossible bad sample")),
+            _ => return Err(FilmError::Corrupt("invalid record of a bad sample")),
         };
         Ok(BadSamples { counts, first })
     }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
     /// A film, tile or image has no pixels or more than the limit.
-    #[error("size {width}x{height}: pixels must be 1 to {limit}")]
+    #[error("size {width}x{height}: the number of pixels must be from 1 to {limit}")]
     Size {
         /// Width, pixels.
         width: u64,
@@ -20,7 +20,7 @@ pub enum FilmError {
     #[error("sample range {}..{} is empty", .0.start, .0.end)]
     EmptyRange(SampleRange),
     /// Two tiles of different pixels cannot be merged.
-    #[error("tile {found} merged into tile {expected}")]
+    #[error("tile {found} cannot be merged into tile {expected}")]
     OtherPixels {
         /// Pixels of the tile that is merged into.
         expected: Rect,
@@ -28,10 +28,10 @@ pub enum FilmError {
         found: Rect,
     },
     /// The tile's pixels match no tile of the frame.
-    #[error("tile {0} is none of the frame's tiles")]
+    #[error("tile {0} is not a tile of the frame")]
     NotInFrame(Rect),
     /// Some, but not all, samples of a tile have been counted before.
-    #[error("tile {rect}: samples {}..{} overlap {}..{}, which are counted already", .new.start, .new.end, .old.start, .old.end)]
+    #[error("tile {rect}: samples {}..{} overlap {}..{}, which are already counted", .new.start, .new.end, .old.start, .old.end)]
     Overlap {
         /// Pixels of the tile.
         rect: Rect,
@@ -47,7 +47,7 @@ pub enum FilmError {
     #[error("tile data: {0}")]
     Corrupt(&'static str),
     /// The bytes were written by another version of the format.
-    #[error("tile data of format {found}, this is format {expected}")]
+    #[error("the tile data have format {found}; this build reads format {expected}")]
     Version {
         /// Version in the data.
         found: u32,
@@ -63,13 +63,13 @@ pub enum FilmError {
         cause: String,
     },
     /// An EXR file has no colors.
-    #[error("EXR without channels R, G and B in one part; it has: {found}")]
+    #[error("the EXR file has no part with channels R, G and B; it has: {found}")]
     NoColors {
         /// Names of the channels in the file.
         found: String,
     },
     /// Two images of different sizes cannot be compared.
-    #[error("sizes differ: {a_width}x{a_height} against {b_width}x{b_height}")]
+    #[error("the image sizes differ: {a_width}x{a_height} and {b_width}x{b_height}")]
     SizesDiffer {
         /// Width of the first image.
         a_width: u32,
@@ -100,7 +100,7 @@ pub enum FilmError {
         cause: Box<FilmError>,
     },
     /// The extension of an animated image is not a supported format.
-    #[error("{}: an animated image ends in .png, .apng or .gif", .0.display())]
+    #[error("{}: the name of an animated image must end in .png, .apng or .gif", .0.display())]
     AnimationFormat(PathBuf),
 }
 

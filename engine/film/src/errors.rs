@@ -142,7 +142,7 @@ impl Errors {
     /// - errors: the range is empty; the frame has fewer tiles; a tile has no samples, or a gap in them.
     pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
         if tiles.is_empty() {
-            return Err(FilmError::Corrupt("a group of no tiles"));
+            return Err(FilmError::Corrupt("the group has no tiles"));
         }
         let measure = |index: usize| {
             let (tile, samples) = whole(frame, index)?;
@@ -197,7 +197,7 @@ impl Errors {
         }
         let rects = || tiles.clone().filter_map(|index| tiling.rect(index));
         if rects().map(|rect| rect.area()).sum::<u64>() > MAX_TILE_PIXELS {
-            return Err(FilmError::Corrupt("more pixels than a group of tiles has"));
+            return Err(FilmError::Corrupt("more pixels than a group of tiles can have"));
         }
         let count = rects().map(|rect| blocks(rect).count()).sum();
         let mut numbers = reader.planes(count, numbers)?.into_iter();
@@ -210,7 +210,7 @@ impl Errors {
     }
 }
 
-const IMPOSSIBLE: FilmError = FilmError::Corrupt("impossible errors");
+const IMPOSSIBLE: FilmError = FilmError::Corrupt("invalid errors");
 
 fn numbers(bytes: &[u8; BLOCK_BYTES]) -> [f64; NUMBERS] {
     std::array::from_fn(|at| f64::from_le_bytes(std::array::from_fn(|i| bytes[8 * at + i])))

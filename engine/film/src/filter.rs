@@ -118,7 +118,7 @@ impl std::fmt::Display for Filter {
 
 /// An unknown filter name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("no filter {0:?}; there are box, triangle, gaussian, blackman-harris")]
+#[error("unknown filter {0:?}; choose box, triangle, gaussian or blackman-harris")]
 pub struct UnknownFilter(pub String);
 
 impl std::str::FromStr for Filter {

@@ -140,10 +140,10 @@ impl LayerTile {
         }
         check(layers)?;
         if counts.len() != area || light.iter().any(|one| one.sums.len() != area) {
-            return Err(FilmError::Corrupt("layers of another number of pixels"));
+            return Err(FilmError::Corrupt("wrong number of pixels in layers"));
         }
         if light.iter().any(|one| one.layers == 0 || one.layers > all_of(layers)) {
-            return Err(FilmError::Corrupt("light of other layers"));
+            return Err(FilmError::Corrupt("light belongs to other layers"));
         }
         let mut tile = Self { rect, samples, layers, counts, light: Vec::new() };
         tile.take(light);
@@ -190,14 +190,14 @@ impl LayerTile {
         parts.sort_by_key(|part| part.samples);
         parts.dedup_by_key(|part| part.samples);
         let mut parts = parts.into_iter();
-        let mut all = parts.next().ok_or(FilmError::Corrupt("a tile without layers"))?;
+        let mut all = parts.next().ok_or(FilmError::Corrupt("the tile has no layers"))?;
         all.hold(ends)?;
         for mut part in parts {
             if part.rect != all.rect {
                 return Err(FilmError::OtherPixels { expected: all.rect, found: part.rect });
             }
             if part.layers != all.layers {
-                return Err(FilmError::Corrupt("another number of layers"));
+                return Err(FilmError::Corrupt("wrong number of layers"));
             }
             if part.samples.start != all.samples.end {
                 return Err(FilmError::Gap(all.rect));
@@ -218,7 +218,7 @@ impl LayerTile {
                 let sums = self.light.iter_mut().flat_map(|one| &mut one.sums);
                 sums.for_each(|sums| sums.0[half] = Default::default());
             } else if self.samples.end > end {
-                return Err(FilmError::Corrupt("samples on both sides of the end of a half"));
+                return Err(FilmError::Corrupt("a sample range crosses the boundary between the halves"));
             }
         }
         let light = std::mem::take(&mut self.light);
@@ -261,7 +261,7 @@ impl LayerTile {
         }
         let sets = (0..sets).map(|_| reader.long()).collect::<Result<Vec<_>, _>>()?;
         if !sets.is_sorted_by(|a, b| a < b) || sets.iter().any(|&set| set == 0 || set > all_of(layers)) {
-            return Err(FilmError::Corrupt("light of other layers"));
+            return Err(FilmError::Corrupt("light belongs to other layers"));
         }
         let area = rect.area() as usize;
         let planes = reader.plain(area * (COUNT_BYTES + sets.len() * SUM_BYTES))?;
@@ -273,7 +273,7 @@ impl LayerTile {
         let sums = planes.chunks_exact(area * SUM_BYTES).map(|planes| from_planes(planes, area, LightSums::from_bytes));
         let light: Vec<_> = sets.into_iter().zip(sums).map(|(layers, sums)| TakenLight { layers, sums }).collect();
         if light.iter().any(|one| !one.is_lit()) {
-            return Err(FilmError::Corrupt("layers without light"));
+            return Err(FilmError::Corrupt("the layers have no light"));
         }
         Ok(Self { rect, samples, layers, counts, light })
     }
@@ -301,7 +301,7 @@ fn with_words<const N: usize>(magic: &[u8; 8], version: u32, words: [u32; N]) ->
 }
 
 fn check(layers: u32) -> Result<usize, FilmError> {
-    (1..=MOST).contains(&layers).then_some(layers as usize).ok_or(FilmError::Corrupt("impossible number of layers"))
+    (1..=MOST).contains(&layers).then_some(layers as usize).ok_or(FilmError::Corrupt("invalid number of layers"))
 }
 
 /// Resolved pixel of a layer: mean and estimated variance of the mean.
@@ -350,7 +350,7 @@ impl LayerPiece {
             return Err(FilmError::NotInFrame(tile.rect));
         }
         if self.layers != 0 && self.layers != tile.layers {
-            return Err(FilmError::Corrupt("another number of layers"));
+            return Err(FilmError::Corrupt("wrong number of layers"));
         }
         self.layers = tile.layers;
         self.tiles.end += 1;
@@ -393,7 +393,7 @@ impl LayerPiece {
         let samples = tiles.clone().map(|_| reader.range()).collect::<Result<Vec<_>, _>>()?;
         let area: u64 = tiles.clone().filter_map(|tile| tiling.rect(tile)).map(|rect| rect.area()).sum();
         if area > MAX_TILE_PIXELS {
-            return Err(FilmError::Corrupt("more pixels than a group of tiles has"));
+            return Err(FilmError::Corrupt("more pixels than a group of tiles can have"));
         }
         let pixels = reader.planes(count * area as usize, LayerPixel::from_bytes)?;
         Ok(Self { tiling, tiles, layers, samples, pixels })
@@ -423,7 +423,7 @@ impl LayerImage {
     pub fn put(all: &mut [Self], piece: &LayerPiece) -> Result<(), FilmError> {
         let film = piece.tiling.width as usize * piece.tiling.height as usize;
         if all.len() != piece.layers as usize || all.iter().any(|layer| layer.color.len() != film) {
-            return Err(FilmError::Corrupt("layers of another frame"));
+            return Err(FilmError::Corrupt("the layers belong to another frame"));
         }
         let mut pixels = piece.pixels.iter();
         for rect in piece.tiles().filter_map(|tile| piece.tiling.rect(tile)) {

@@ -35,7 +35,7 @@ impl Picture {
         let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().map_err(damaged)?;
         let (width, height) = reader.info().size();
         if reader.output_color_type() != (png::ColorType::Rgb, png::BitDepth::Eight) {
-            return Err(FilmError::Corrupt("a PNG of another color type"));
+            return Err(FilmError::Corrupt("the PNG file has an unexpected color type"));
         }
         if !(1..=MAX_FILM_PIXELS).contains(&(u64::from(width) * u64::from(height))) {
             return Err(FilmError::Size { width: width.into(), height: height.into(), limit: MAX_FILM_PIXELS });

@@ -127,7 +127,7 @@ impl Piece {
     /// - errors: the range is empty; the frame has fewer tiles; a tile has no samples, or a gap in them.
     pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
         if tiles.is_empty() {
-            return Err(FilmError::Corrupt("a group of no tiles"));
+            return Err(FilmError::Corrupt("the group has no tiles"));
         }
         let mut piece = Self {
             tiling: frame.tiling(),
@@ -184,7 +184,7 @@ impl Piece {
         let bad = reader.bad(Rect { x: 0, y: 0, width: tiling.width, height: tiling.height })?;
         let count: u64 = tiles.clone().filter_map(|index| tiling.rect(index)).map(|rect| rect.area()).sum();
         if count > MAX_TILE_PIXELS {
-            return Err(FilmError::Corrupt("more pixels than a group of tiles has"));
+            return Err(FilmError::Corrupt("more pixels than a group of tiles can have"));
         }
         let pixels = reader.planes(count as usize, Pixel::from_bytes)?;
         let areas = tiles.clone().filter_map(|index| tiling.rect(index)).map(|rect| rect.area() as usize);

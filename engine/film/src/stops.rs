@@ -81,7 +81,7 @@ impl Stops {
         let is_possible = |value: &f64| (0.0..=f64::MAX).contains(value);
         let (ends, mut shares): (Vec<Ends>, Vec<f64>) = reader.planes(tiles, from_bytes)?.into_iter().unzip();
         if !floors.iter().chain([&seconds, &pilot.0]).chain(&shares).all(is_possible) {
-            return Err(FilmError::Corrupt("impossible floors, seconds or shares"));
+            return Err(FilmError::Corrupt("invalid floors, seconds or shares"));
         }
         if shares.iter().all(|share| *share == 0.0) {
             shares.clear();

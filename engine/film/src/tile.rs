@@ -258,7 +258,7 @@ impl Tile {
         for half in (0..HALVES).filter(|&half| is_new(half)) {
             held[half] = self.ranges.iter().all(|range| range.start >= ends[half]);
             if !held[half] && self.ranges.iter().any(|range| range.end > ends[half]) {
-                return Err(FilmError::Corrupt("samples on both sides of the end of a half"));
+                return Err(FilmError::Corrupt("a sample range crosses the boundary between the halves"));
             }
         }
         for half in (0..HALVES).filter(|&half| held[half]) {

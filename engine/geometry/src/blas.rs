@@ -82,7 +82,7 @@ pub struct Blas {
 impl Blas {
     /// Builds the tree. Primitive indices are positions in `triangles`, then `triangles.len()` + positions in `shapes`. Triangles
     /// without area and surfaces with non-finite coordinates keep their index and are never hit.
-    #[expect(clippy::needless_pass_by_value, reason = "the inputs end here; taking them says so")]
+    #[expect(clippy::needless_pass_by_value, reason = "the function consumes its inputs; the signature shows it")]
     pub fn build(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>) -> Self {
         let mut boxes = Vec::with_capacity(triangles.len() + shapes.len());
         let mut primitives = Vec::with_capacity(boxes.capacity());

@@ -9,7 +9,10 @@
 //! bounds, and rays leave a surface by those bounds (\[pharr2023\]). Hits do not depend on the layout of the trees: at equal
 //! distances, the lowest (instance, primitive) wins.
 #![deny(missing_docs)]
-#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests compute what they expect apart from the engine"))]
+#![cfg_attr(
+    test,
+    allow(clippy::disallowed_methods, reason = "tests compute expected values independently of the engine")
+)]
 
 mod blas;
 mod bounds;

@@ -24,7 +24,7 @@ pub enum BundleError {
     #[error("not a scene bundle")]
     Magic,
     /// A bundle of another version.
-    #[error("bundle version {found}, this program reads {VERSION}")]
+    #[error("the bundle has version {found}; this program reads version {VERSION}")]
     Version {
         /// Version of the bundle.
         found: u32,
@@ -41,7 +41,7 @@ pub enum BundleError {
     #[error("bundle is damaged")]
     Damaged,
     /// A file name that is not normalized.
-    #[error("bundle holds the bad file name {name:?}")]
+    #[error("bundle holds the invalid file name {name:?}")]
     Name {
         /// The name.
         name: String,

@@ -103,7 +103,7 @@ pub enum Fault {
     UnclosedQuote,
     /// Text directly after a quoted file name.
     #[error(
-        "found `{found}` directly after the closing double quote; put a blank between them, or quote the whole name"
+        "found `{found}` directly after the closing double quote; put a space between them, or quote the whole name"
     )]
     AfterQuote {
         /// Text as written.
@@ -138,7 +138,7 @@ pub enum Fault {
         root: String,
     },
     /// A path that some systems interpret differently.
-    #[error("`{path}` is not a portable path: {reason}; separate folders by `/`")]
+    #[error("`{path}` is not a portable path: {reason}; separate folders with `/`")]
     UnportablePath {
         /// Path as written.
         path: String,
@@ -154,13 +154,13 @@ pub enum Fault {
         chain: String,
     },
     /// Too many nested includes.
-    #[error("more than {limit} include levels; flatten the includes")]
+    #[error("includes are nested deeper than {limit} levels; flatten them")]
     IncludeDepth {
         /// The limit.
         limit: usize,
     },
     /// Too much included text.
-    #[error("the includes add up to more than {limit} {unit}; repeat geometry by an array (`xf -a`) instead")]
+    #[error("the includes add up to more than {limit} {unit}; repeat geometry with an array (`xf -a`) instead")]
     IncludeVolume {
         /// The limit.
         limit: u64,
@@ -168,7 +168,7 @@ pub enum Fault {
         unit: &'static str,
     },
     /// A text file larger than the limit.
-    #[error("`{path}` has {size} bytes, a text file may have {limit}; split it by `i`")]
+    #[error("`{path}` has {size} bytes; the limit for text files is {limit} bytes; split it with `i`")]
     TextTooLarge {
         /// Path of the file.
         path: String,
@@ -178,7 +178,7 @@ pub enum Fault {
         limit: u64,
     },
     /// A joined line longer than the limit.
-    #[error("line of more than {limit} characters (joined lines count as one); split it")]
+    #[error("the line has more than {limit} characters (joined lines count as one); split it")]
     LineTooLong {
         /// The limit.
         limit: usize,
@@ -194,7 +194,7 @@ pub enum Fault {
         found: usize,
     },
     /// Text in place of a number.
-    #[error("`{found}` is not a number; {expected} is needed here")]
+    #[error("`{found}` is not a number; expected a number: {expected}")]
     NotANumber {
         /// Text as written.
         found: String,
@@ -228,7 +228,7 @@ pub enum Fault {
         nearest: Vec<String>,
     },
     /// A second definition of a name that may be defined only once.
-    #[error("{kind} `{name}` is defined already at line {line}; choose another name")]
+    #[error("{kind} `{name}` is already defined at line {line}; choose another name")]
     Redefined {
         /// Kind of the name.
         kind: Kind,
@@ -254,19 +254,21 @@ pub enum Fault {
         expected: &'static str,
     },
     /// A closing `o` or `xf` that closes nothing.
-    #[error("`{entity}` closes nothing: none is open in this file; remove it")]
+    #[error("`{entity}` closes nothing: nothing is open in this file; remove it")]
     NothingToClose {
         /// `o` or `xf`.
         entity: &'static str,
     },
     /// Objects nested too deep.
-    #[error("objects are nested deeper than {limit} levels or 4096 characters of dotted name; close some")]
+    #[error(
+        "objects are nested deeper than {limit} levels, or their dotted name is longer than 4096 characters; close some"
+    )]
     ObjectDepth {
         /// The limit.
         limit: usize,
     },
     /// Too many primitives after array expansion.
-    #[error("{count} primitives after array expansion, at most {limit} are possible; use smaller arrays")]
+    #[error("the scene has {count} primitives after array expansion; the limit is {limit}; use smaller arrays")]
     TooManyPrimitives {
         /// Number of primitives (saturated).
         count: u64,
@@ -290,7 +292,7 @@ pub enum Fault {
         advice: &'static str,
     },
     /// Times out of order.
-    #[error("time {time} does not follow {previous}; times must be strictly ascending")]
+    #[error("time {time} is not later than {previous}; times must be strictly ascending")]
     TimeOrder {
         /// The time, s.
         time: f64,
@@ -309,8 +311,8 @@ pub enum Fault {
     },
     /// A number with a decimal comma in a photometric file.
     #[error(
-        "`{found}`: decimal commas cannot be read, as a comma separates two numbers in LM-63 files; write decimal points \
-         (`0.5`), and a blank after a comma that separates"
+        "`{found}`: decimal commas are not supported, because a comma separates two numbers in LM-63 files; write decimal \
+         points (`0.5`), and a space after a separating comma"
     )]
     DecimalComma {
         /// Number as written.
@@ -318,7 +320,7 @@ pub enum Fault {
     },
     /// More data in a photometric file than it announces.
     #[error(
-        "{} the last {last} that the file announces; correct its numbers of angles, or remove what does not belong to it",
+        "{} the last {last} that the file announces; correct its numbers of angles, or remove the extra data",
         left_over(found, *numbers)
     )]
     LeftOver {

@@ -102,7 +102,7 @@ pub(crate) fn resolve(by: &str, named: &str) -> Result<String, Fault> {
         return Err(unportable("it has a backslash"));
     }
     if named.contains(['\0', '\u{fffd}']) {
-        return Err(unportable("it has bytes that are no UTF-8 text"));
+        return Err(unportable("it has bytes that are not UTF-8"));
     }
     let folder = by.rsplit_once('/').map_or("", |(folder, _)| folder);
     let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();

@@ -16,14 +16,14 @@ pub struct ScenePath {
 impl ScenePath {
     /// Uses the scene file `scene` with its own folder as root.
     pub fn new(scene: &Path) -> Result<Self, ImportError> {
-        let name = scene.file_name().ok_or_else(|| unreadable(scene, "it names no file"))?;
-        let entry = name.to_str().ok_or_else(|| unreadable(scene, "its name is not UTF-8"))?.to_owned();
+        let name = scene.file_name().ok_or_else(|| unreadable(scene, "the path has no file name"))?;
+        let entry = name.to_str().ok_or_else(|| unreadable(scene, "the file name is not UTF-8"))?.to_owned();
         Ok(Self { root: folder(scene).to_owned(), entry })
     }
 
     /// Uses the scene file `scene` with the folder `root` around it. Includes, textures and lamps may lie anywhere below `root`.
     pub fn below(root: &Path, scene: &Path) -> Result<Self, ImportError> {
-        let name = scene.file_name().ok_or_else(|| unreadable(scene, "it names no file"))?;
+        let name = scene.file_name().ok_or_else(|| unreadable(scene, "the path has no file name"))?;
         let real = |path: &Path| path.canonicalize().map_err(|e| unreadable(path, &e.to_string()));
         let (real_root, real_folder) = (real(root)?, real(folder(scene))?);
         let full = real_folder.join(name);
@@ -35,7 +35,7 @@ impl ScenePath {
             Component::Normal(part) => part.to_str(),
             _ => None,
         });
-        let parts = parts.collect::<Option<Vec<_>>>().ok_or_else(|| unreadable(scene, "its path is not UTF-8"))?;
+        let parts = parts.collect::<Option<Vec<_>>>().ok_or_else(|| unreadable(scene, "the path is not UTF-8"))?;
         Ok(Self { root: root.to_owned(), entry: parts.join("/") })
     }
 

@@ -18,10 +18,10 @@ pub(crate) fn decode(path: &str, bytes: Vec<u8>) -> Result<Vec<u8>, Fault> {
     let bad = |reason: String| Fault::BadFile {
         path: path.to_owned(),
         reason,
-        advice: "save it as plain text (UTF-8) and check that it is the file that you mean",
+        advice: "check that it is the right file, and save it as plain text (UTF-8)",
     };
     let text = match &bytes[..] {
-        [0xff, 0xfe, 0, 0, ..] | [0, 0, 0xfe, 0xff, ..] => return Err(bad("it is UTF-32 text".into())),
+        [0xff, 0xfe, 0, 0, ..] | [0, 0, 0xfe, 0xff, ..] => return Err(bad("the file is UTF-32 text".into())),
         [0xff, 0xfe, rest @ ..] => utf16(rest, u16::from_le_bytes).map_err(bad)?,
         [0xfe, 0xff, rest @ ..] => utf16(rest, u16::from_be_bytes).map_err(bad)?,
         [0xef, 0xbb, 0xbf, rest @ ..] => rest.to_vec(),
@@ -31,7 +31,7 @@ pub(crate) fn decode(path: &str, bytes: Vec<u8>) -> Result<Vec<u8>, Fault> {
     match text.iter().position(|&byte| byte == 0) {
         Some(at) => {
             let line = 1 + text[..at].iter().filter(|&&byte| byte == b'\n').count();
-            Err(bad(format!("it has a zero byte in line {line}, so it is not a text file")))
+            Err(bad(format!("the file has a zero byte in line {line}, so it is not a text file")))
         }
         None => Ok(text),
     }
@@ -55,7 +55,7 @@ pub(crate) fn excerpt(text: &[u8]) -> String {
 fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> Result<Vec<u8>, String> {
     let (pairs, rest) = bytes.as_chunks::<2>();
     if rest.iter().any(|byte| *byte != 0 && !byte.is_ascii_whitespace()) {
-        return Err("it is UTF-16 text that ends inside a character".into());
+        return Err("the file is UTF-16 text that ends inside a character".into());
     }
     let mut text = String::with_capacity(bytes.len() / 2);
     for character in char::decode_utf16(pairs.iter().map(|pair| unit(*pair))) {
@@ -63,7 +63,7 @@ fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> Result<Vec<u8>, String> {
             Ok(character) => text.push(character),
             Err(_) => {
                 let line = 1 + text.matches('\n').count();
-                return Err(format!("it is UTF-16 text with a broken character in line {line}"));
+                return Err(format!("the file is UTF-16 text with an invalid character in line {line}"));
             }
         }
     }
@@ -166,7 +166,7 @@ mod tests {
         for (bytes, says) in [
             (&b"a\nb\0c\n"[..], "zero byte in line 2"),
             (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "zero byte in line 3"),
-            (b"\xff\xfea\0\n\0\0\xd8b\0", "broken character in line 2"),
+            (b"\xff\xfea\0\n\0\0\xd8b\0", "invalid character in line 2"),
             (b"\xfe\xff\0ab", "ends inside a character"),
             (b"\xff\xfe\0\0a\0\0\0", "UTF-32"),
             (b"a\0\0\0b\0\0\0", "zero byte in line 1"),

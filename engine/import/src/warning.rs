@@ -155,49 +155,52 @@ impl Oddity {
 impl fmt::Display for Oddity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::UnknownEntity { name } => write!(f, "unknown entity `{name}` skipped (said once per name)"),
+            Self::UnknownEntity { name } => write!(f, "unknown entity `{name}` skipped (reported once per name)"),
             Self::NoArea => f.write_str("face without area"),
             Self::NotPlanar { deviation } => {
                 write!(f, "face is not planar: vertices are up to {:.2} % of its size off the plane", deviation * 100.0)
             }
             Self::CrossesItself => f.write_str("face crosses itself: its triangles do not add up to its area"),
-            Self::HoleOrientation => f.write_str("hole is wound like its outer contour; taken as a hole"),
+            Self::HoleOrientation => f.write_str("hole is wound like its outer contour; treated as a hole"),
             Self::OutOfGamut => f.write_str("color is outside Rec.709: negative components clipped, luminance kept"),
             Self::ChannelAboveOne { sum } => {
                 write!(
                     f,
-                    "color makes the material ask for {sum:.3} times the light of one channel (its luminance is within 1): \
-                     limited to what it receives"
+                    "color makes the material return {sum:.3} times the light that it receives in one channel (its luminance is at most 1): \
+                     limited to the received light"
                 )
             }
-            Self::NegativeSpectrum { count: 1 } => f.write_str("spectrum has a negative value: taken as 0"),
-            Self::NegativeSpectrum { count } => write!(f, "spectrum has {count} negative values: taken as 0"),
+            Self::NegativeSpectrum { count: 1 } => f.write_str("spectrum has a negative value: treated as 0"),
+            Self::NegativeSpectrum { count } => write!(f, "spectrum has {count} negative values: treated as 0"),
             Self::NoLuminance { x, taken: [a, b] } => {
-                write!(f, "chromaticity ({x}, 0) has no luminance: the nearest visible one is taken, ({a:.4}, {b:.4})")
+                write!(
+                    f,
+                    "chromaticity ({x}, 0) has no luminance: replaced by the nearest visible one, ({a:.4}, {b:.4})"
+                )
             }
             Self::TooBright { material, sum } => {
-                write!(f, "material `{material}` has rd + td + rs + ts = {sum:.3}: all four scaled down to the sum 1")
+                write!(
+                    f,
+                    "material `{material}` has rd + td + rs + ts = {sum:.3}: all four are scaled down to the sum 1"
+                )
             }
             Self::NoTextureCoordinates { material } => {
                 write!(
                     f,
-                    "material `{material}` has a texture, and this surface no coordinates (`uv`; said once per material)"
+                    "material `{material}` has a texture, but this surface has no texture coordinates (`uv`; reported once per material)"
                 )
             }
             Self::OutsideFolder { path } => {
-                write!(
-                    f,
-                    "`{path}` is outside the scene's folder: this scene needs its root (`--root`) wherever it goes"
-                )
+                write!(f, "`{path}` is outside the scene's folder: loading this scene always needs its root (`--root`)")
             }
             Self::ObjectAgain { name, first } => {
                 write!(
                     f,
-                    "object `{name}` is opened again, first at {first}: both are one object to selectors, layers and Cryptomatte; rename \
-                     one if they are two things (said once per name)"
+                    "object `{name}` is opened again, first at {first}: selectors, layers and Cryptomatte treat both as one object; rename one if \
+                     they are different objects (reported once per name)"
                 )
             }
-            Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; closed at the end of its file"),
+            Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; it is closed at the end of its file"),
             Self::Replaced { what } => write!(f, "{what} replaces an earlier one"),
             Self::NotTransformed { what } => write!(f, "{what} inside `xf`: it stays in world coordinates"),
             Self::Photometry { what } => f.write_str(what),
@@ -210,7 +213,7 @@ impl fmt::Display for Oddity {
                 let point = |[x, y, z]: &[f64; 3]| format!("{x:.3} {y:.3} {z:.3}");
                 write!(
                     f,
-                    "the scene has no camera: `default` looks from {from}, `origin {}`, `target {}`; place another with \
+                    "the scene has no camera: `default` looks from {from}, `origin {}`, `target {}`; define your own camera with \
                      `camera NAME =`, `origin x y z` and `target x y z` in the scene file",
                     point(origin),
                     point(target)

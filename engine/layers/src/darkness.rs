@@ -196,7 +196,7 @@ mod tests {
             ("C(SV|T)L", Some("T")),
             ("C<RD'b'>L", Some("<RD> at 'b'")),
             ("C<RD'a'>L", None),
-            ("C<RD[^'a']>L", Some("<RD> elsewhere than at 'a'")),
+            ("C<RD[^'a']>L", Some("<RD> at places other than 'a'")),
             ("C'lamp'L", Some(". at 'lamp'")),
             ("D.*L", Some("NoCamera")),
             ("CD", Some("NoSource")),

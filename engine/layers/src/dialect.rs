@@ -25,30 +25,32 @@ pub(crate) fn prefix(chars: &[char]) -> Result<usize, (usize, &'static str)> {
     }
 }
 
-const OPTIONS: &str = "the expression alone: what other renderers write before `lpe:` (float, unoccluded; noclamp; overwrite; ..) has no \
-                       counterpart here; leave it out";
+const OPTIONS: &str = "only the expression: options that other renderers write before `lpe:` (float, unoccluded; noclamp; overwrite; ..) do not \
+                       exist here; leave it out";
 
 /// Returns advice about a character that begins no event here but has a meaning in another renderer.
 pub(crate) fn advice(found: char) -> Option<&'static str> {
     Some(match found {
         's' => {
-            "no `s`: what goes straight through a clear surface makes no event here; leave it out (a mirror is `S`, in capitals)"
+            "an event: light that goes straight through a clear surface makes no event here; leave it out (a mirror is a capital `S`)"
         }
         'c' | 'r' | 't' | 'v' | 'd' | 'g' | 'l' | 'o' | 'b' => {
-            "an event in capitals, one of C R T V D G S L O B: lower case has no meaning here"
+            "an event in capitals, one of C R T V D G S L O B: lower-case letters have no meaning here"
         }
-        'A' => "no `A`: albedo is no light; write [LOB] for any source, or use `--layers albedo`",
-        'E' => "`C`, which is the camera (the eye, `E`, of other renderers)",
-        'U' => "no `U`: there are no lobes of users; the scatterings are D (diffuse), G (rough gloss) and S (mirror)",
-        '0'..='9' => "no number: lobes are not numbered here; write D, G or S alone",
+        'A' => "an event: albedo is not light; write [LOB] for any source, or use `--layers albedo`",
+        'E' => "`C`, which is the camera (other renderers write `E` for eye)",
+        'U' => {
+            "an event: user lobes (`U`) do not exist here; the scatterings are D (diffuse), G (rough gloss) and S (mirror)"
+        }
+        '0'..='9' => "an event: lobes are not numbered here; write D, G or S without a number",
         '"' | '\u{2018}' | '\u{2019}' | '\u{201c}' | '\u{201d}' | '`' => {
             "an event, or a label in straight single quotes, like 'desk.lamp'"
         }
         ';' | ':' => OPTIONS,
         '{' => "an event before the repetition `{..}`",
-        '^' => "`^` within brackets only, like [^D]",
-        '!' | '~' => "`[^..]` for any event but these, like [^D]",
-        '&' => "no `&`: paths that fit two expressions cannot be asked for; write one expression",
+        '^' => "`^` only within brackets, like [^D]",
+        '!' | '~' => "`[^..]` for any event except these, like [^D]",
+        '&' => "a single expression: `&`, for paths that match two expressions, does not exist here",
         _ => return None,
     })
 }

@@ -18,7 +18,7 @@ impl ExpressionError {
         let found = match expression.chars().nth(*at) {
             Some(found) => format!("`{found}` at character {}", at + 1),
             None if expression.is_empty() => "nothing".to_owned(),
-            None => "its end".to_owned(),
+            None => "the end of the expression".to_owned(),
         };
         // Control characters would move the caret.
         let shown: String = expression.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
@@ -30,29 +30,29 @@ impl ExpressionError {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LayerError {
     /// The text is not `NAME=EXPRESSION`.
-    #[error("`{0}` is no layer; write NAME=EXPRESSION, like direct=CDL")]
+    #[error("`{0}` is not a layer; write NAME=EXPRESSION, like direct=CDL")]
     Form(String),
     /// The name is not valid for channels.
-    #[error("a layer cannot be called `{0}`; a name has 1 to 64 letters, digits, `_` and `-`")]
+    #[error("invalid layer name `{0}`; a name has 1 to 64 letters, digits, `_` and `-`")]
     Name(String),
     /// The file already has channels with this name.
-    #[error("a layer cannot be called `{0}`: the file has channels of that name; choose another")]
+    #[error("invalid layer name `{0}`: the file already has channels with this name; choose another name")]
     Taken(String),
     /// Two layers have the same name.
-    #[error("two layers are called `{0}`; give each a name of its own")]
+    #[error("two layers have the name `{0}`; give each layer its own name")]
     Twice(String),
     /// There are too many layers.
-    #[error("there are {0} layers; a frame has at most {most}", most = crate::MOST_LAYERS)]
+    #[error("there are {0} layers; the limit is {most} per frame", most = crate::MOST_LAYERS)]
     Many(usize),
     /// No preset and no feature has this name.
     #[error(
-        "there are no layers called `{0}`; choose among {presets}, {features}",
+        "unknown layers `{0}`; choose from {presets}, {features}",
         presets = crate::Preset::NAMES.join(", "),
         features = crate::Feature::NAMES.join(", ")
     )]
     Preset(String),
     /// Layers of lamps are requested, but the scene has no lamps.
-    #[error("the scene has no lamps, so that there are no layers of `lamps`")]
+    #[error("the layers `lamps` need lamps, but the scene has none")]
     NoLamps,
     /// An expression that cannot be parsed.
     #[error("layer `{layer}`: {cause}")]
@@ -64,8 +64,8 @@ pub enum LayerError {
     },
     /// Nothing in the scene has this label.
     #[error(
-        "layer `{layer}`: nothing in the scene is called `{label}`; a label is the name of an object, a material, a medium or a lamp \
-         (OBJECT/MATERIAL)"
+        "layer `{layer}`: unknown label `{label}`; a label is the name of an object, a material, a medium or a lamp (OBJECT/MATERIAL) \
+         of the scene"
     )]
     Label {
         /// Name of the layer.
@@ -74,11 +74,9 @@ pub enum LayerError {
         label: String,
     },
     /// The layers name too many labels.
-    #[error("the layers name {0} objects and lamps; they may name {most}", most = crate::Vocabulary::MOST)]
+    #[error("the layers name {0} objects and lamps; the limit is {most}", most = crate::Vocabulary::MOST)]
     Labels(usize),
     /// The automaton is too large.
-    #[error(
-        "the layers together are too complex: they would take more than {0} states; leave some out, or make them simpler"
-    )]
+    #[error("the layers together are too complex: they need more than {0} states; remove layers or simplify them")]
     Complex(usize),
 }

@@ -114,7 +114,7 @@ impl Event {
         let is_negated = self.negated || self.any.iter().any(|class| matches!(class.labels, Some((_, true))));
         match is_negated {
             _ if labels.is_empty() => String::new(),
-            true => format!(" elsewhere than at {}", labels.join(" or ")),
+            true => format!(" at places other than {}", labels.join(" or ")),
             false => format!(" at {}", labels.join(" or ")),
         }
     }

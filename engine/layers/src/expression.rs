@@ -96,7 +96,7 @@ impl Expression {
         let node = parser.choice()?;
         match parser.peek() {
             None => Ok(Self(node)),
-            Some(')') => Err(parser.expected("an event, as this parenthesis closes none")),
+            Some(')') => Err(parser.expected("an event: this parenthesis closes nothing")),
             Some(_) => Err(parser.expected_event()),
         }
     }
@@ -192,7 +192,7 @@ impl Parser<'_> {
                 self.at += 1;
                 // Each further sign would add a level to every recursion over the tree.
                 if matches!(self.peek(), Some('*' | '+' | '?' | '{')) {
-                    return Err(self.expected("one sign of repetition for an event; use parentheses for more"));
+                    return Err(self.expected("at most one repetition sign per event; use parentheses for more"));
                 }
             }
             all.push(item);
@@ -220,9 +220,9 @@ impl Parser<'_> {
         self.events += (most - 1) * events_of(&item);
         if self.events > MOST_EVENTS {
             self.at = start;
-            return Err(
-                self.expected("fewer repetitions: an expression has at most 2048 events when they are written out")
-            );
+            return Err(self.expected(
+                "fewer repetitions: an expression has at most 2048 events with all repetitions written out",
+            ));
         }
         let surely = std::iter::repeat_n(item.clone(), least);
         let maybe = std::iter::repeat_n(Node::Maybe(Box::new(item)), most - least);
@@ -241,7 +241,7 @@ impl Parser<'_> {
         match next {
             '(' => {
                 if self.depth == DEEPEST {
-                    return Err(self.expected("at most 64 parentheses within each other"));
+                    return Err(self.expected("at most 64 nested parentheses"));
                 }
                 self.depth += 1;
                 self.at += 1;

@@ -78,7 +78,7 @@ mod tests {
         assert_eq!("motion=CDL".parse::<Layer>(), Err(LayerError::Taken("motion".into())));
         assert_eq!("crypto_object00=CDL".parse::<Layer>(), Err(LayerError::Taken("crypto_object00".into())));
         let error = "a=C<".parse::<Layer>().unwrap_err().to_string();
-        assert!(error.starts_with("layer `a`: found its end; expected a type"), "{error}");
+        assert!(error.starts_with("layer `a`: found the end of the expression; expected a type"), "{error}");
         let twice = [Layer::new("a", "CL"), Layer::new("a", "CDL")];
         assert_eq!(parse_all(&twice), Err(LayerError::Twice("a".into())));
         let many: Vec<Layer> = (0..65).map(|i| Layer::new(format!("a{i}"), "CL")).collect();

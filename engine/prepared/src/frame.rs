@@ -40,7 +40,7 @@ pub enum PrepareError {
     #[error("the scene has no camera; add a `camera` to it")]
     NoCamera,
     /// No camera has this name.
-    #[error("no camera is called `{name}`; the scene has {}", known.join(", "))]
+    #[error("unknown camera `{name}`; the scene has {}", known.join(", "))]
     UnknownCamera {
         /// Requested name.
         name: String,

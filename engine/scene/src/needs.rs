@@ -161,19 +161,19 @@ impl Scene {
 
     fn without_motion(&self, camera: &Camera) -> Option<String> {
         if self.clip.is_none() {
-            return Some("a still has no frame interval to open the shutter in (no `time`)".into());
+            return Some("a still has no frame interval for the shutter (no `time`)".into());
         }
         let entity = format!("camera.{}", camera.name);
         let varied = |field: &str| self.varies.iter().any(|vary| vary.selector == format!("{entity}.{field}"));
         let closed = camera.shutter_open >= camera.shutter_close;
         if closed && !varied("shutter.open") && !varied("shutter.close") {
-            return Some(format!("the shutter of camera `{}` opens for no time", camera.name));
+            return Some(format!("the shutter of camera `{}` is never open", camera.name));
         }
         let placed = self.placed_groups();
         let mut groups = self.groups.iter().zip(placed).filter(|(_, placed)| *placed).map(|(group, _)| group);
         let moves = |group: &crate::Group| group.instances.iter().any(|i| i.motion.is_animated(&self.paths));
         let still = !camera.is_animated(&self.paths) && !groups.any(moves);
-        still.then(|| format!("neither camera `{}` nor a surface is on a path that moves", camera.name))
+        still.then(|| format!("neither camera `{}` nor any surface follows a path that moves", camera.name))
     }
 }
 

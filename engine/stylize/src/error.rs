@@ -4,7 +4,7 @@
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StylizeError {
     /// An image has no pixels, no channels, or a number of values that does not match its size.
-    #[error("image of {width}x{height} pixels and {channels} channels with {values} values")]
+    #[error("an image of {width}x{height} pixels and {channels} channels cannot have {values} values")]
     Shape {
         /// Number of columns.
         width: u32,
@@ -30,7 +30,9 @@ pub enum StylizeError {
     #[error("no layer `{0}`")]
     NoGuide(String),
     /// Source and target share no guide.
-    #[error("source has {source_guides:?}, target {target_guides:?}: no guide in common")]
+    #[error(
+        "source and target have no guide in common: the source has {source_guides:?}, the target has {target_guides:?}"
+    )]
     NothingInCommon {
         /// Guides of the source.
         source_guides: Vec<String>,
@@ -38,7 +40,7 @@ pub enum StylizeError {
         target_guides: Vec<String>,
     },
     /// The style has another size than the source's guides.
-    #[error("style of {style:?} pixels for a source of {source_size:?}")]
+    #[error("the style has {style:?} pixels, but the source has {source_size:?}")]
     StyleSize {
         /// Columns and rows of the style.
         style: [u32; 2],
@@ -46,10 +48,10 @@ pub enum StylizeError {
         source_size: [u32; 2],
     },
     /// The style does not have three channels.
-    #[error("style of {0} channels, not 3")]
+    #[error("the style has {0} channels; it must have 3")]
     StyleChannels(usize),
     /// Source and target have different numbers of guide channels.
-    #[error("{source_channels} guide channels of the source, {target_channels} of the target")]
+    #[error("the source has {source_channels} guide channels, but the target has {target_channels}")]
     Channels {
         /// Guide channels of the source.
         source_channels: usize,
@@ -57,16 +59,16 @@ pub enum StylizeError {
         target_channels: usize,
     },
     /// The weight of the guides is negative or not finite.
-    #[error("mu {0} is no finite number from 0 on")]
+    #[error("mu is {0}; it must be finite and not negative")]
     Mu(f32),
     /// The price of use is negative or not finite.
-    #[error("balance {0} is no finite number from 0 on")]
+    #[error("balance is {0}; it must be finite and not negative")]
     Balance(f32),
     /// The amount of boiling is not between 0 and 1.
-    #[error("boil {0} is no number from 0 to 1")]
+    #[error("boil is {0}; it must be from 0 to 1")]
     Boil(f32),
     /// The previous frame has another size than the target.
-    #[error("frame before of {before:?} pixels for a target of {target:?}")]
+    #[error("the previous frame has {before:?} pixels, but the target has {target:?}")]
     BeforeSize {
         /// Columns and rows of the previous frame.
         before: [u32; 2],
@@ -74,16 +76,16 @@ pub enum StylizeError {
         target: [u32; 2],
     },
     /// The checkpoint belongs to other images or settings.
-    #[error("what was begun is not of these images")]
+    #[error("the checkpoint belongs to other images or settings")]
     Begun,
     /// The bytes are not brushwork, or they are damaged.
-    #[error("what was painted of the frame before is damaged")]
+    #[error("the brushwork of the previous frame is damaged")]
     Brushwork,
     /// The width of patches is even or out of range.
-    #[error("patch {0} is no odd number from 3 to 15")]
+    #[error("patch is {0}; it must be an odd number from 3 to 15")]
     Patch(usize),
     /// The pyramid has no level, or its coarsest one is too small for patches.
-    #[error("{levels} levels, where images of this size allow 1 to {most} with patches of {patch} pixels")]
+    #[error("{levels} levels are not possible: images of this size allow 1 to {most} with patches of {patch} pixels")]
     Levels {
         /// Requested levels.
         levels: usize,

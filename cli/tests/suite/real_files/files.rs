@@ -57,15 +57,15 @@ fn a_file_name_with_blanks_needs_quotes_and_the_error_shows_them() {
     for (scene, shown) in [
         (
             "blank-lamp.mgf",
-            "blank-lamp.mgf:21:5: error: the file name `my lamp.ies` has blanks; put it in double quotes: `ies \"my lamp.ies\"`",
+            "blank-lamp.mgf:21:5: error: the file name `my lamp.ies` contains spaces; write it in double quotes: `ies \"my lamp.ies\"`",
         ),
         (
             "blank-include.mgf",
-            "blank-include.mgf:1:3: error: the file name `my floor.mgf` has blanks; put it in double quotes: `i \"my floor.mgf\"`",
+            "blank-include.mgf:1:3: error: the file name `my floor.mgf` contains spaces; write it in double quotes: `i \"my floor.mgf\"`",
         ),
         (
             "blank-texture.mgf",
-            "blank-texture.mgf:5:9: error: the file name `my wood.png` has blanks; put it in double quotes: `map_ed \"my wood.png\"`",
+            "blank-texture.mgf:5:9: error: the file name `my wood.png` contains spaces; write it in double quotes: `map_ed \"my wood.png\"`",
         ),
     ] {
         let ran = place.run(&format!("check {scene}")).exits(1);
@@ -155,5 +155,5 @@ fn a_texture_above_1_on_a_reflectance_is_said_once() {
         &format!("{}m twice =\n\trd .5\n\tmap_rd bright.exr\n", text.replace("gray-y.exr", "bright.exr")),
     );
     let above = place.run("check factors.mgf --all").exits(0).stdout();
-    assert_eq!(above.matches("a reflectance factor above 1 is cut to 1").count(), 1, "{above}");
+    assert_eq!(above.matches("reflectance factors above 1 are clamped to 1").count(), 1, "{above}");
 }

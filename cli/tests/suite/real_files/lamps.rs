@@ -162,8 +162,8 @@ fn a_luminaire_above_the_ceiling_or_in_a_wall_is_named() {
     };
     assert_eq!(in_room(lit), [""; 0]);
     assert_eq!(in_room("ies lamp-point.ies -t 0 0 3\n"), [""; 0], "in the plane of the ceiling");
-    named("ies down.ies -t 0 0 3.02\n", "reaches no place that a camera sees");
-    named("ies lamp-point.ies -t 0 0 3.5\n", "reaches no place that a camera sees");
+    named("ies down.ies -t 0 0 3.02\n", "does not reach any place that a camera sees");
+    named("ies lamp-point.ies -t 0 0 3.5\n", "does not reach any place that a camera sees");
     let block = "m block =\n\tsides 1\n\trd .5\nv k0 =\n\tp -.5 1 1\nv k1 =\n\tp .5 1 1\nv k2 =\n\tp .5 1.4 1\nv k3 =\n\tp -.5 1.4 1\n\
         m block\nprism k0 k1 k2 k3 .8\n";
     named(&format!("{block}ies lamp-point.ies -t 0 1.2 .6\n"), "inside a solid, or behind a one-sided surface");

@@ -98,7 +98,7 @@ fn named<const N: usize>(mut channels: Channels, names: [&str; N]) -> Result<(u3
     for (name, values) in names.iter().zip(&mut found) {
         *values = channels.named.remove(*name).ok_or_else(|| FilmError::Format {
             what: "reading EXR",
-            cause: format!("it has no channel `{name}`, which femc's frames have"),
+            cause: format!("the file has no channel `{name}`, which all femc frames have"),
         })?;
     }
     Ok((channels.width, channels.height, found))

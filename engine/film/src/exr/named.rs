@@ -47,7 +47,9 @@ fn stored(channel: &NamedChannel<'_>, pixels: usize) -> Result<AnyChannel<FlatSa
     match precision {
         Precision::Float => Ok(floats(name, values.iter().copied())),
         Precision::Half => match values.iter().find(|v| !f16::from_f32(**v).is_finite()) {
-            Some(value) => Err(failed(format!("channel `{name}` has the value {value}, which 16 bits do not hold"))),
+            Some(value) => {
+                Err(failed(format!("channel `{name}` has the value {value}, which does not fit in 16 bits")))
+            }
             None => {
                 let halves = values.iter().map(|&value| f16::from_f32(value)).collect();
                 Ok(AnyChannel::new(name, FlatSamples::F16(halves)))

@@ -135,7 +135,7 @@ pub(super) fn encode_channels(
     let names: Vec<Text> = channels.iter().map(|channel| channel.name.clone()).collect();
     if let Some(name) = names.iter().find(|name| name.as_slice().len() > MOST_OF_NAME) {
         return Err(failed(format!(
-            "the channel `{name}` has a name of {} bytes, and the format allows {MOST_OF_NAME}; give the layer a shorter name",
+            "the name of channel `{name}` has {} bytes, but the format allows {MOST_OF_NAME}; give the layer a shorter name",
             name.as_slice().len()
         )));
     }
@@ -169,7 +169,7 @@ pub(super) fn encode_channels(
     if let (true, Some(flags)) = (has_long_names, bytes.get_mut(FLAGS)) {
         *flags |= LONG_NAMES;
     }
-    sort_attributes(&mut bytes).ok_or_else(|| failed("header of an unknown form".into()))?;
+    sort_attributes(&mut bytes).ok_or_else(|| failed("the header has an unknown form".into()))?;
     Ok(bytes)
 }
 

@@ -38,7 +38,7 @@ impl BesideTile {
         if let (Some(light), Some(features)) = (&light, &features)
             && (light.rect(), light.samples()) != (features.rect(), features.samples())
         {
-            return Err(FilmError::Corrupt("layers and features of other samples"));
+            return Err(FilmError::Corrupt("layers and features have different samples"));
         }
         Ok(Self { light, features })
     }
@@ -51,7 +51,7 @@ impl BesideTile {
         let light: Vec<LayerTile> = light.into_iter().flatten().collect();
         let features: Vec<FeatureTile> = features.into_iter().flatten().collect();
         if [light.len(), features.len()].iter().any(|&some| some != 0 && some != count) {
-            return Err(FilmError::Corrupt("a part lacks layers or features that others have"));
+            return Err(FilmError::Corrupt("one part lacks layers or features that other parts have"));
         }
         let (has_light, has_features) = (!light.is_empty(), !features.is_empty());
         if !has_light && !has_features {
@@ -93,12 +93,12 @@ impl BesidePiece {
         match (&mut self.light, &tile.light) {
             (Some(piece), Some(tile)) => piece.put(tile, ends)?,
             (None, None) => {}
-            _ => return Err(FilmError::Corrupt("layers of some tiles alone")),
+            _ => return Err(FilmError::Corrupt("only some tiles have layers")),
         }
         match (&mut self.features, &tile.features) {
             (Some(piece), Some(tile)) => piece.put(tile)?,
             (None, None) => {}
-            _ => return Err(FilmError::Corrupt("features of some tiles alone")),
+            _ => return Err(FilmError::Corrupt("only some tiles have features")),
         }
         self.tiles.end += 1;
         self.samples.push(samples);
@@ -134,7 +134,7 @@ impl BesidePiece {
         let of_features = features.as_ref().map(|it| (it.tiling(), it.tiles(), it.samples().to_vec()));
         let (tiling, tiles, samples) = match (of_light, of_features) {
             (Some(light), Some(features)) if light != features => {
-                return Err(FilmError::Corrupt("layers and features of other tiles"));
+                return Err(FilmError::Corrupt("layers and features have different tiles"));
             }
             (Some(of), _) | (None, Some(of)) => of,
             (None, None) => return Err(NOTHING),
@@ -159,7 +159,7 @@ fn part(bytes: &[u8]) -> Result<[Option<&[u8]>; 2], FilmError> {
         return Err(NOTHING);
     }
     if lengths[0].saturating_add(lengths[1]) != rest.len() {
-        return Err(FilmError::Corrupt("cut short"));
+        return Err(FilmError::Corrupt("the data are truncated"));
     }
     let (light, features) = rest.split_at(lengths[0]);
     Ok([light, features].map(|part| (!part.is_empty()).then_some(part)))

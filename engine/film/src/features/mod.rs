@@ -58,6 +58,6 @@ impl FeatureLayout {
 
     fn check(self) -> Result<Self, FilmError> {
         let fits = self.values <= MOST[0] && self.ids <= MOST[1];
-        fits.then_some(self).ok_or(FilmError::Corrupt("impossible number of features"))
+        fits.then_some(self).ok_or(FilmError::Corrupt("invalid number of features"))
     }
 }

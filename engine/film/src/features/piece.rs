@@ -36,7 +36,7 @@ impl FeaturePiece {
             return Err(FilmError::NotInFrame(tile.rect()));
         }
         if !self.tiles.is_empty() && self.layout != tile.layout() {
-            return Err(FilmError::Corrupt("another number of features"));
+            return Err(FilmError::Corrupt("wrong number of features"));
         }
         self.layout = tile.layout();
         self.tiles.end += 1;
@@ -142,7 +142,7 @@ impl FeatureImage {
     /// - errors: the piece belongs to another film or has other features.
     pub fn put(&mut self, piece: &FeaturePiece) -> Result<(), FilmError> {
         if (piece.layout, piece.tiling.width, piece.tiling.height) != (self.layout, self.width, self.height) {
-            return Err(FilmError::Corrupt("features of another frame"));
+            return Err(FilmError::Corrupt("the features belong to another frame"));
         }
         let mut bits = piece.channels.iter();
         for rect in piece.tiles().filter_map(|tile| piece.tiling.rect(tile)) {

@@ -29,7 +29,7 @@ impl FeatureTile {
         }
         sums.layout.check()?;
         if sums.counts.len() != area {
-            return Err(FilmError::Corrupt("features of another number of pixels"));
+            return Err(FilmError::Corrupt("wrong number of pixels in features"));
         }
         Ok(Self { rect, samples, sums })
     }
@@ -61,13 +61,13 @@ impl FeatureTile {
         parts.sort_by_key(|part| part.samples);
         parts.dedup_by_key(|part| part.samples);
         let mut parts = parts.into_iter();
-        let mut all = parts.next().ok_or(FilmError::Corrupt("a tile without features"))?;
+        let mut all = parts.next().ok_or(FilmError::Corrupt("the tile has no features"))?;
         for part in parts {
             if part.rect != all.rect {
                 return Err(FilmError::OtherPixels { expected: all.rect, found: part.rect });
             }
             if part.sums.layout != all.sums.layout {
-                return Err(FilmError::Corrupt("another number of features"));
+                return Err(FilmError::Corrupt("wrong number of features"));
             }
             if part.samples.start != all.samples.end {
                 return Err(FilmError::Gap(all.rect));
@@ -110,7 +110,7 @@ impl FeatureTile {
             let [count] = reader.words()?;
             // A pixel cannot have more ids than samples.
             if u64::from(count) > area as u64 * u64::from(samples.len()) {
-                return Err(FilmError::Corrupt("impossible number of ids"));
+                return Err(FilmError::Corrupt("invalid number of ids"));
             }
             entries.push(count as usize);
         }
@@ -129,7 +129,7 @@ impl FeatureTile {
         for count in entries {
             let lengths = from_planes(take(4 * area), area, |bytes: &[u8; 4]| u32::from_le_bytes(*bytes));
             let kind = Shares::new(&lengths, from_planes(take(8 * count), count, pair));
-            shares.push(kind.ok_or(FilmError::Corrupt("ids of another number"))?);
+            shares.push(kind.ok_or(FilmError::Corrupt("wrong number of ids"))?);
         }
         check(&counts, &sums, &shares, samples)?;
         Ok(Self { rect, samples, sums: FeatureSums::of_parts(layout, counts, sums, shares) })
@@ -145,7 +145,7 @@ fn check(counts: &[[u32; 2]], values: &[i128], shares: &[Shares], samples: Sampl
     let most = |hits: u32| MOST.unsigned_abs() * u128::from(hits);
     let is_over = |(sums, [_, hits]): (&[i128], &[u32; 2])| sums.iter().any(|sum| sum.unsigned_abs() > most(*hits));
     if values.chunks(numbers).zip(counts).any(is_over) {
-        return Err(FilmError::Corrupt("impossible features"));
+        return Err(FilmError::Corrupt("invalid features"));
     }
     let is_fit = |(pixel, [_, hits]): (&[[u32; 2]], &[u32; 2])| {
         let sum: u64 = pixel.iter().map(|entry| u64::from(entry[1])).sum();
@@ -154,7 +154,7 @@ fn check(counts: &[[u32; 2]], values: &[i128], shares: &[Shares], samples: Sampl
     if shares.iter().flat_map(|kind| kind.pixels().zip(counts)).all(is_fit) {
         Ok(())
     } else {
-        Err(FilmError::Corrupt("impossible ids"))
+        Err(FilmError::Corrupt("invalid ids"))
     }
 }
 

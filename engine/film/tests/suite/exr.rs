@@ -221,7 +221,7 @@ fn a_file_says_that_it_has_long_names_if_and_only_if_a_channel_has_one() {
         assert_eq!(back, values, "{length} bytes");
     }
     let error = file(&"n".repeat(256)).unwrap_err().to_string();
-    assert!(error.contains("a name of 256 bytes") && error.contains("255"), "{error}");
+    assert!(error.contains("has 256 bytes") && error.contains("255"), "{error}");
     // The longest layer name is 64 bytes, and its variance has 11 more.
     for (name, is_long) in [("a".repeat(20), false), ("a".repeat(21), true), ("a".repeat(64), true)] {
         let image = frame(4, 4);

@@ -82,5 +82,5 @@ fn pixels_that_are_not_finite_are_counted_and_left_out() {
 #[test]
 fn images_of_different_sizes_are_refused() {
     let error = compare(&noise(4, 3, 1, 0.1), &noise(3, 4, 1, 0.1)).unwrap_err();
-    assert_eq!(error.to_string(), "sizes differ: 4x3 against 3x4");
+    assert_eq!(error.to_string(), "the image sizes differ: 4x3 and 3x4");
 }

@@ -21,7 +21,7 @@ pub(super) fn undefined_advice(kind: Kind, name: &str, nearest: &[String]) -> St
         [] => format!("define it before this line: {definition}"),
         names => {
             let quoted: Vec<_> = names.iter().map(|name| format!("`{name}`")).collect();
-            format!("define it before this line ({definition}), or use a near name: {}", quoted.join(", "))
+            format!("define it before this line ({definition}), or use a similar name: {}", quoted.join(", "))
         }
     }
 }
@@ -32,19 +32,19 @@ pub(super) fn path_advice(near: Option<&str>) -> String {
     match near {
         Some(name) if name.contains(char::is_whitespace) => format!("did you mean `\"{name}\"` in the same folder?"),
         Some(name) => format!("did you mean `{name}` in the same folder?"),
-        None => "check the path, it is relative to the file that names it".to_owned(),
+        None => "check the path; it is relative to the file that names it".to_owned(),
     }
 }
 
 /// Returns fault and advice for an unquoted file name with blanks.
 pub(super) fn blank_name(entity: &str, name: &str, exists: bool) -> String {
     if exists {
-        return format!("the file name `{name}` has blanks; put it in double quotes: `{entity} \"{name}\"`");
+        return format!("the file name `{name}` contains spaces; write it in double quotes: `{entity} \"{name}\"`");
     }
     let (first, rest) = name.split_once(char::is_whitespace).unwrap_or((name, ""));
     let rest = rest.trim_start();
     format!(
-        "found `{rest}` after the file name `{first}`; if it is part of the name, put the name in double quotes: \
+        "found `{rest}` after the file name `{first}`; if it is part of the name, write the name in double quotes: \
          `{entity} \"{name}\"`"
     )
 }

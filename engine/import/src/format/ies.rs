@@ -130,7 +130,8 @@ pub(crate) fn parse(path: &str, text: &[u8], open: &mut dyn FnMut(&str) -> Named
 fn tilt(numbers: &mut Numbers<'_>) -> Result<Tilt, ImportError> {
     numbers.whole("lamp-to-luminaire geometry", 1.0, 3.0, "1, 2 or 3")?;
     let count = numbers.whole("number of tilt angles", 1.0, MAX_ANGLES, "a whole number in [1, 100000]")?;
-    let angles = numbers.ascending(count, "tilt angle", -180.0, 180.0, "in [-180, 180] and above the one before it")?;
+    let angles =
+        numbers.ascending(count, "tilt angle", -180.0, 180.0, "in [-180, 180] and greater than the previous angle")?;
     let factors =
         (0..count).map(|_| numbers.number_in("tilt factor", ">= 0", |x| x >= 0.0)).collect::<Result<_, _>>()?;
     Ok(Tilt { angles, factors })
@@ -167,7 +168,7 @@ fn intensities(
         if !value.is_finite() {
             return Err(ImportError::new(
                 numbers.here(),
-                Fault::NotFinite { what: "intensity (cd) times its factors" },
+                Fault::NotFinite { what: "intensity (cd) multiplied by its factors" },
             ));
         }
         if value < 0.0 {
@@ -176,7 +177,7 @@ fn intensities(
         candela.push(value.max(0.0));
     }
     if let Some(at) = negative {
-        remarks.warn(at, "negative intensities are taken as 0");
+        remarks.warn(at, "negative intensities are treated as 0");
     }
     Ok(candela)
 }

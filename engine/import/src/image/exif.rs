@@ -35,7 +35,7 @@ impl Exif {
         let mut remarks = Vec::new();
         if let Some(orientation @ 2..=8) = self.orientation {
             remarks.push(format!(
-                "EXIF orientation {orientation} is not applied: turn the image, or the texture coordinates"
+                "EXIF orientation {orientation} is not applied: rotate the image or the texture coordinates"
             ));
         }
         if let (Some(space @ (2 | 65_535)), true, false) = (self.color_space, is_color, has_profile) {

@@ -33,19 +33,20 @@ struct Picked {
 pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
     let bytes = source.bytes;
     if bytes.get(5).is_some_and(|flags| flags & 0x08 != 0) {
-        return Err(source.advised("it holds deep data", "flatten it to one color for each pixel"));
+        return Err(source.advised("the file holds deep data", "flatten it to one color per pixel"));
     }
     let meta =
         MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|error| source.bad(error.to_string()))?;
     for header in &meta.headers {
         source.check_size(header.layer_size.width(), header.layer_size.height())?;
         if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
-            return Err(source.bad("it is compressed with DWA, which other processors decode to other values"));
+            return Err(source
+                .bad("the file is compressed with DWA, which decodes to different values on different processors"));
         }
         if header.channels.list.iter().any(|channel| channel.sampling != exr_prelude::Vec2(1, 1)) {
             let names = channel_names(header);
             let names = listed(names.iter().map(String::as_str));
-            let reason = format!("its channels {names} have fewer values than pixels (luminance and chroma)");
+            let reason = format!("the channels {names} are subsampled (luminance and chroma)");
             return Err(source.advised(reason, "save it again with the channels R G B"));
         }
     }
@@ -56,13 +57,16 @@ pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
             Role::Color => "R G B, or Y for gray, without a layer (`R`, `.R`) or in a single one (`NAME.R`)",
             Role::Normals => "R G B, without a layer (`R`, `.R`) or in a single one (`NAME.R`)",
         };
-        source.advised(format!("it has the channels {names}; wanted are {wanted}"), "save it again with such channels")
+        source.advised(
+            format!("the file has the channels {names}; expected {wanted}"),
+            "save it again with these channels",
+        )
     })?;
     let header = &meta.headers[part];
     let mut remarks = Vec::new();
     let (data, is_opaque) = read(source, &picked)?;
     if !is_opaque {
-        remarks.push("alpha is not used: colors stay multiplied with it".to_owned());
+        remarks.push("alpha is not used: colors stay premultiplied".to_owned());
     }
     remarks.extend(unused(header, &meta.headers, &picked));
     let to_rec709 = primaries(header, source.role, &picked, &mut remarks);
@@ -179,10 +183,10 @@ fn unused(header: &Header, parts: &[Header], picked: &Picked) -> Vec<String> {
             .layer_name
             .as_ref()
             .map_or_else(String::new, |name| format!(", `{}`", printable(&name.to_string())));
-        remarks.push(format!("it has {} parts: one of them is read{name}", parts.len()));
+        remarks.push(format!("the file has {} parts: only one is read{name}", parts.len()));
     }
     if let Some(layer) = &picked.layer {
-        remarks.push(format!("its only layer with colors is read, `{}`", printable(layer)));
+        remarks.push(format!("the only layer with colors is read: `{}`", printable(layer)));
     }
     let names = channel_names(header);
     let others: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -207,7 +211,7 @@ fn unused(header: &Header, parts: &[Header], picked: &Picked) -> Vec<String> {
         }
     }
     if own.view_name.is_some() || own.multi_view_names.is_some() {
-        remarks.push("it has several views: one of them is read".to_owned());
+        remarks.push("the file has several views: only one is read".to_owned());
     }
     remarks
 }
@@ -221,7 +225,7 @@ fn primaries(header: &Header, role: Role, picked: &Picked, remarks: &mut Vec<Str
     let xy = |v: exr_prelude::Vec2<f32>| [f64::from(v.x()), f64::from(v.y())];
     let chromaticities: Chromaticities = [stated.red, stated.green, stated.blue, stated.white].map(xy);
     Matrix::to_rec709(chromaticities).unwrap_or_else(|_| {
-        remarks.push("its chromaticities span no colors, and are not used".to_owned());
+        remarks.push("the chromaticities are degenerate: they are not used".to_owned());
         None
     })
 }
@@ -245,8 +249,8 @@ fn placed(
     let area = width as usize * height as usize;
     if area > FREE_AREA && area / data.len() > MOST_EMPTY {
         let reason =
-            format!("its display window of {width} x {height} pixels has data in less than 1/{MOST_EMPTY} of it");
-        return Err(source.advised(reason, "crop it to what it shows"));
+            format!("the display window of {width} x {height} pixels has data in less than 1/{MOST_EMPTY} of its area");
+        return Err(source.advised(reason, "crop the image to its data"));
     }
     let mut pixels = vec![[0.0; 3]; area];
     let mut is_empty = true;
@@ -263,7 +267,7 @@ fn placed(
         is_empty = false;
     }
     if is_empty {
-        remarks.push("its data window is outside of its display window: it is black".to_owned());
+        remarks.push("the data window is outside the display window: the image is black".to_owned());
     }
     Ok((width, height, pixels))
 }

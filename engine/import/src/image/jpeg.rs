@@ -29,11 +29,11 @@ pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
         DecoderOptions::default().set_max_width(most).set_max_height(most).jpeg_set_out_colorspace(ColorSpace::RGB);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(source.bytes), options);
     decoder.decode_headers().map_err(|error| source.bad(error.to_string()))?;
-    let (width, height) = decoder.dimensions().ok_or_else(|| source.bad("its header has no size"))?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| source.bad("the header has no image size"))?;
     let (width, height) = source.check_size(width, height)?;
     let stated = Stated::read(source.bytes);
     if !matches!(stated.components, 1 | 3 | 4) {
-        return Err(source.bad(format!("it has {} components; 1, 3 and 4 are possible", stated.components)));
+        return Err(source.bad(format!("the image has {} components; 1, 3 or 4 are supported", stated.components)));
     }
     let values = decoder.decode().map_err(|error| source.bad(error.to_string()))?;
     let table = Transfer::Srgb.byte_table(source.role);
@@ -97,7 +97,7 @@ impl Stated {
     fn remarks(&self, is_color: bool) -> Vec<String> {
         let mut remarks = self.exif.remarks(is_color, self.profile.is_some());
         if self.has_more_pictures {
-            remarks.push("it holds several pictures: the first one alone is used".to_owned());
+            remarks.push("the file holds several pictures: only the first one is used".to_owned());
         }
         if !is_color {
             return remarks;
@@ -105,13 +105,13 @@ impl Stated {
         if self.components == 4 {
             let name = if self.adobe == Some(2) { "YCCK" } else { "CMYK" };
             remarks.push(format!(
-                "its colors are inks ({name}), converted to RGB without a color profile: save it as RGB"
+                "the colors are inks ({name}) and are converted to RGB without a color profile: save the image as RGB"
             ));
         } else {
             remarks.extend(self.profile.as_deref().and_then(|name| icc::remark(name, "sRGB")));
         }
         if self.is_named_rgb && self.adobe.is_none() && !self.has_jfif {
-            remarks.push("its components are called R, G and B, and are read as YCbCr: save it again".to_owned());
+            remarks.push("the components are named R, G and B but are read as YCbCr: save the image again".to_owned());
         }
         remarks
     }

@@ -80,10 +80,12 @@ impl Source<'_> {
     fn check_size(&self, width: usize, height: usize) -> Result<(u32, u32), Fault> {
         let side = |n: usize| u32::try_from(n).ok().filter(|n| (1..=MAX_SIDE).contains(n));
         let (Some(w), Some(h)) = (side(width), side(height)) else {
-            return Err(self.bad(format!("it has {width} x {height} pixels, 1 to {MAX_SIDE} a side are possible")));
+            return Err(
+                self.bad(format!("the image has {width} x {height} pixels; each side must have 1 to {MAX_SIDE}"))
+            );
         };
         if self.used.saturating_add(memory(w, h)) > MAX_MEMORY {
-            return Err(self.bad(format!("it takes the images of the scene above {MAX_MEMORY} bytes")));
+            return Err(self.bad(format!("with this image, the images of the scene take more than {MAX_MEMORY} bytes")));
         }
         Ok((w, h))
     }
@@ -96,16 +98,16 @@ pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<
         [0x89, b'P', b'N', b'G', ..] => png::open(&source)?,
         [0xff, 0xd8, ..] => jpeg::open(&source)?,
         [0x76, 0x2f, 0x31, 0x01, ..] => exr::open(&source)?,
-        _ => return Err(source.bad("it is none of PNG, JPEG and EXR")),
+        _ => return Err(source.bad("the file is not a PNG, JPEG or EXR image")),
     };
     let Opened { width, height, mut pixels, to_rec709, mut remarks } = opened;
     if !pixels.iter().flatten().all(|x| x.is_finite()) {
-        return Err(source.bad("it has pixels that are not finite"));
+        return Err(source.bad("the image has pixels that are not finite"));
     }
     if role == Role::Color {
         let (outside, what) = match to_rec709 {
-            Some(_) => (OUTSIDE, "it has colors outside Rec.709: negative components are taken as 0"),
-            None => (0.0, "image has negative values: taken as 0"),
+            Some(_) => (OUTSIDE, "image has colors outside Rec.709: negative components are treated as 0"),
+            None => (0.0, "image has negative values: treated as 0"),
         };
         if let Some(matrix) = to_rec709 {
             pixels.iter_mut().for_each(|pixel| *pixel = matrix.apply(*pixel));

@@ -40,7 +40,7 @@ pub(super) fn open(source: &Source<'_>) -> Result<Opened, Fault> {
     let mut reader = decoder.read_info().map_err(fault)?;
     let (width, height) = source.check_size(reader.info().width as usize, reader.info().height as usize)?;
     let (color, depth) = reader.output_color_type();
-    let size = reader.output_buffer_size().ok_or_else(|| source.bad("it is too large for this machine"))?;
+    let size = reader.output_buffer_size().ok_or_else(|| source.bad("the image is too large for this machine"))?;
     let mut stated = Stated::read(source.bytes);
     if let Some(profile) = reader.info().icc_profile.as_deref().and_then(icc::description) {
         stated.profile = Some(profile);
@@ -127,7 +127,7 @@ impl Stated {
                 b"eXIf" if is_sound => stated.exif = Exif::read(data),
                 _ if is_color && !(is_sound && before_pixels && stated.take(kind, data)) => {
                     let name = String::from_utf8_lossy(kind);
-                    stated.damaged.push(format!("chunk {name} is damaged or misplaced, and not used"));
+                    stated.damaged.push(format!("chunk {name} is damaged or misplaced: it is not used"));
                 }
                 _ => {}
             }
@@ -168,7 +168,7 @@ impl Stated {
             meaning.range = if range == 1 { Range::Full } else { Range::Narrow };
             match cicp_primaries(primaries) {
                 Some(primaries) => meaning.set_primaries(primaries),
-                None => meaning.remarks.push(format!("primaries {primaries} of cICP are taken as those of Rec.709")),
+                None => meaning.remarks.push(format!("primaries {primaries} of cICP are treated as Rec.709")),
             }
             return Ok(meaning);
         }
@@ -198,7 +198,7 @@ impl Meaning {
     fn set_primaries(&mut self, chromaticities: Chromaticities) {
         match Matrix::to_rec709(chromaticities) {
             Ok(matrix) => self.to_rec709 = matrix,
-            Err(_) => self.remarks.push("its primaries span no colors, and are not used".to_owned()),
+            Err(_) => self.remarks.push("the primaries are degenerate: they are not used".to_owned()),
         }
     }
 }
@@ -212,14 +212,14 @@ fn cicp_transfer(code: u8, source: &Source<'_>, remarks: &mut Vec<String>) -> Re
         8 => return Ok(Transfer::Power(1.0)),
         13 => return Ok(Transfer::Srgb),
         2 => {
-            remarks.push("cICP leaves the transfer function open: values are read as sRGB".to_owned());
+            remarks.push("cICP does not specify the transfer function: values are read as sRGB".to_owned());
             return Ok(Transfer::Srgb);
         }
         16 => " (PQ)",
         18 => " (HLG)",
         _ => "",
     };
-    let reason = format!("its values have transfer function {code}{name} of cICP, which is not supported");
+    let reason = format!("transfer function {code}{name} of cICP is not supported");
     Err(source.advised(reason, "save it again as EXR, or as PNG with sRGB or linear values"))
 }
 

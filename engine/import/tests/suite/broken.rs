@@ -21,12 +21,12 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
         "undefined vertex",
         "v v1 =\nv v2 =\nf v1 v2 vv1",
         "t.mgf:3:9",
-        "undefined vertex `vv1`; define it before this line (`v vv1 =` and `p x y z`), or use a near name: `v1`, `v2`",
+        "undefined vertex `vv1`; define it before this line (`v vv1 =` and `p x y z`), or use a similar name: `v1`, `v2`",
     ),
     ("vertex without any", "sph a 1", "t.mgf:1:5", "define it before this line: `v a =` and `p x y z`"),
     ("undefined template", "v a = b", "t.mgf:1:7", "undefined vertex `b`"),
     ("undefined color", "c red", "t.mgf:1:3", "undefined color `red`"),
-    ("undefined material", "m wood =\nm woood", "t.mgf:2:3", "near name: `wood`"),
+    ("undefined material", "m wood =\nm woood", "t.mgf:2:3", "similar name: `wood`"),
     ("undefined camera template", "camera a = b", "t.mgf:1:12", "undefined camera `b`"),
     ("undefined medium in mglobal", "mglobal fog", "t.mgf:1:9", "undefined medium `fog`"),
     ("undefined medium in mbox", "mbox fog 0 0 0 1 1 1", "t.mgf:1:6", "undefined medium `fog`"),
@@ -38,7 +38,7 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
     ("negative chromaticity", "cxy .3 -.1", "t.mgf:1:8", "y is -0.1; it must be in [0, 1]"),
     ("chromaticity outside the diagram", "cxy .7 .6", "t.mgf:1:5", "x + y is 1.2999"),
     ("spectrum without a positive value", "cspec 400 700 -1 0 -1", "t.mgf:1:1", "no visible light"),
-    ("spectrum backwards", "cspec 700 400 1 1", "t.mgf:1:11", "above the first one"),
+    ("spectrum backwards", "cspec 700 400 1 1", "t.mgf:1:11", "greater than the first wavelength"),
     ("spectrum of one value", "cspec 400 700 1", "t.mgf:1:1", "at least two values"),
     ("invisible spectrum", "cspec 900 1000 1 1", "t.mgf:1:1", "no visible light"),
     ("cold black body", "cct 0", "t.mgf:1:5", "temperature (K) is 0"),
@@ -57,7 +57,7 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
     ("index of refraction without its imaginary part", "ir 1.5", "t.mgf:1:1", "imaginary part"),
     ("negative lobe", "lobe -1", "t.mgf:1:6", "exponent of the lobe is -1"),
     ("texture that is not there", "map_rd wood.png", "t.mgf:1:8", "cannot read `wood.png`"),
-    ("texture that is none", "map_rd part.mgf", "t.mgf:1:8", "none of PNG, JPEG and EXR"),
+    ("texture that is none", "map_rd part.mgf", "t.mgf:1:8", "not a PNG, JPEG or EXR image"),
     // Surfaces.
     ("face of two vertices", "v a =\nf a a", "t.mgf:2:1", "at least three vertices"),
     ("hole of two vertices", "v a =\nfh a a a - a a", "t.mgf:2:1", "fewer than three vertices"),
@@ -65,7 +65,7 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
     ("sphere of radius 0", "v a =\nsph a 0", "t.mgf:2:7", "radius (m) is 0"),
     ("cylinder of no length", "v a =\ncyl a 1 a", "t.mgf:2:1", "both ends are at one point"),
     ("cone of two signs", "v a =\nv b =\np 1 0 0\ncone a 1 b -1", "t.mgf:4:12", "of the same sign"),
-    ("cone of two points", "v a =\nv b =\np 1 0 0\ncone a 0 b 0", "t.mgf:4:8", "different from 0"),
+    ("cone of two points", "v a =\nv b =\np 1 0 0\ncone a 0 b 0", "t.mgf:4:8", "nonzero at one or both ends"),
     ("ring inside out", "v a =\nn 0 0 1\nring a 2 1", "t.mgf:3:10", "> the inner radius"),
     ("ring without a normal", "v a =\nring a 1 2", "t.mgf:2:6", "no normal"),
     ("torus inside out", "v a =\nn 0 0 1\ntorus a 2 1", "t.mgf:3:11", "farther from 0"),
@@ -104,7 +104,7 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
     ("file that includes itself", "# one\ni t.mgf", "t.mgf:2:3", "t.mgf > t.mgf"),
     ("fault in an included file", "i part.mgf", "part.mgf:2:3", "`x` is not a number"),
     ("photometry that is not there", "ies lost.ies", "t.mgf:1:5", "cannot read `lost.ies`"),
-    ("photometry cut short", "ies short.ies", "short.ies:3:1", "it ends where the intensity"),
+    ("photometry cut short", "ies short.ies", "short.ies:3:1", "the file ends before the intensity"),
     ("photometry that is none", "ies part.mgf", "part.mgf:2", "no TILT= line"),
     ("multiplier missing", "ies lamp.ies -m", "t.mgf:1:14", "`-m` takes one number"),
     // Cameras, media, time.
@@ -115,12 +115,12 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
     ("film of half pixels", "camera c =\nfilm 10.5 10", "t.mgf:2:6", "a whole number"),
     ("film too large", "camera c =\nfilm 40000 10", "t.mgf:2:6", "[1, 32768]"),
     ("film of too many pixels", "camera c =\nfilm 32768 32768", "t.mgf:2:1", "too many pixels of film"),
-    ("camera that looks nowhere", "v a =\ncamera c =\norigin 1 1 1\ntarget 1 1 1", "t.mgf:2:1", "looks nowhere"),
+    ("camera that looks nowhere", "v a =\ncamera c =\norigin 1 1 1\ntarget 1 1 1", "t.mgf:2:1", "no view direction"),
     ("camera with parallel up", "camera c =\ntarget 0 0 5", "t.mgf:1:1", "`up` is parallel"),
     ("camera without up", "camera c =\nup 0 0 0", "t.mgf:2:1", "no direction"),
     ("negative lens", "camera c =\nlens -1 2", "t.mgf:2:6", "lens radius (m) is -1"),
     ("lens without focus", "camera c =\nlens 1 0", "t.mgf:2:8", "focus distance (m) is 0"),
-    ("shutter backwards", "camera c =\nshutter .5 .2", "t.mgf:2:12", "not before its opening"),
+    ("shutter backwards", "camera c =\nshutter .5 .2", "t.mgf:2:12", "at or after the opening"),
     ("shutter beyond the frame", "camera c =\nshutter 0 2", "t.mgf:2:11", "in [0, 1]"),
     ("field without a medium", "sigma_s 1", "t.mgf:1:1", "`sigma_s` outside a medium context"),
     ("negative scattering", "medium a =\nsigma_s -1", "t.mgf:2:9", "scattering coefficient (1/m) is -1"),
@@ -135,21 +135,21 @@ pub const TABLE: &[(&str, &str, &str, &str)] = &[
         "box on a path",
         "path p = linear\nkey 0\nmedium a =\nxf -path p\nmbox a 0 0 0 1 1 1\nxf",
         "t.mgf:5:1",
-        "a path moves",
+        "moves along a path",
     ),
-    ("clip backwards", "time 5 1 24", "t.mgf:1:8", "not before the start"),
-    ("no frames a second", "time 0 1 0", "t.mgf:1:10", "frames a second is 0"),
+    ("clip backwards", "time 5 1 24", "t.mgf:1:8", "at or after the start"),
+    ("no frames a second", "time 0 1 0", "t.mgf:1:10", "frames per second is 0"),
     ("too many frames", "time 0 1e9 24", "t.mgf:1:1", "too many frames"),
     ("unknown interpolation", "path p = cubic", "t.mgf:1:10", "found `cubic`"),
-    ("path twice", "path p = linear\nkey 0\npath p = linear", "t.mgf:3:6", "defined already at line 1"),
+    ("path twice", "path p = linear\nkey 0\npath p = linear", "t.mgf:3:6", "already defined at line 1"),
     ("path without keys", "path p = linear", "t.mgf:1:1", "no keys"),
     ("key without a path", "key 0", "t.mgf:1:1", "`key` outside a path context"),
-    ("keys out of order", "path p = linear\nkey 1\nkey 1", "t.mgf:3:5", "time 1 does not follow 1"),
-    ("key with an array", "path p = linear\nkey 1 -a 2 -t 1 0 0", "t.mgf:2:1", "a key is one pose"),
+    ("keys out of order", "path p = linear\nkey 1\nkey 1", "t.mgf:3:5", "time 1 is not later than 1"),
+    ("key with an array", "path p = linear\nkey 1 -a 2 -t 1 0 0", "t.mgf:2:1", "a key holds a single pose"),
     ("key with a mirror", "path p = linear\nkey 1 -mx", "t.mgf:2:1", "cannot mirror"),
     ("vary without =", "vary a.b.c 0 1 2 3", "t.mgf:1:12", "expected `=`"),
     ("vary with half a pair", "vary a.b.c = 0 1 2", "t.mgf:1:1", "pairs of time and value"),
-    ("vary out of order", "vary a.b.c = 1 1 0 1", "t.mgf:1:18", "time 0 does not follow 1"),
+    ("vary out of order", "vary a.b.c = 1 1 0 1", "t.mgf:1:18", "time 0 is not later than 1"),
 ];
 
 #[test]
@@ -195,7 +195,7 @@ fn includes_are_limited_in_depth_and_circles_are_found() {
     assert!(load(&chain(65)).is_ok(), "64 levels below the scene");
     let error = load(&chain(66)).unwrap_err();
     assert_eq!(error.at.to_string(), "f64.mgf:1:3");
-    assert!(error.to_string().contains("more than 64 include levels"), "{error}");
+    assert!(error.to_string().contains("deeper than 64 levels"), "{error}");
     let mut circle = chain(5);
     circle[4].1 = "# back\ni f2.mgf\n".into();
     let error = load(&circle).unwrap_err();
@@ -228,7 +228,7 @@ impl femc_import::Files for Huge {
 #[test]
 fn a_file_beyond_the_limit_is_refused_before_it_is_read() {
     let error = femc_import::load(&Huge, "t.mgf").unwrap_err();
-    assert!(error.to_string().contains("has 314572800 bytes, a text file may have 268435456"), "{error}");
+    assert!(error.to_string().contains("has 314572800 bytes; the limit for text files is 268435456"), "{error}");
 }
 
 #[test]

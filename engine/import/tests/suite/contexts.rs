@@ -107,7 +107,7 @@ fn negative_values_of_a_spectrum_are_taken_as_zero_with_one_warning() {
     let loaded = try_scene("\ncspec 400 700 1 -1 .5 -2\nm a =\ned 1\nc\ncspec 400 700 1 0 .5 0\nm b =\ned 1").unwrap();
     assert_eq!(loaded.scene.materials[0].ed, loaded.scene.materials[1].ed);
     let said: Vec<_> = loaded.warnings.iter().map(|w| w.to_string()).filter(|w| w.contains("negative")).collect();
-    assert_eq!(said, ["t.mgf:2:1: spectrum has 2 negative values: taken as 0"]);
+    assert_eq!(said, ["t.mgf:2:1: spectrum has 2 negative values: treated as 0"]);
 }
 
 #[test]

@@ -67,14 +67,20 @@ fn a_fault_of_quotes_is_named_at_its_place() {
 #[test]
 fn a_name_with_blanks_and_no_quotes_says_how_to_write_it() {
     for (line, says) in [
-        ("i my floor.mgf", "the file name `my floor.mgf` has blanks; put it in double quotes: `i \"my floor.mgf\"`"),
-        ("i parts/old floor.mgf -t 1 0 0", "put it in double quotes: `i \"parts/old floor.mgf\"`"),
-        ("ies my lamp.ies -t 0 0 2", "put it in double quotes: `ies \"my lamp.ies\"`"),
-        ("ies two  blanks.ies", "put it in double quotes: `ies \"two  blanks.ies\"`"),
-        ("ies -t odd.ies", "put it in double quotes: `ies \"-t odd.ies\"`"),
+        (
+            "i my floor.mgf",
+            "the file name `my floor.mgf` contains spaces; write it in double quotes: `i \"my floor.mgf\"`",
+        ),
+        ("i parts/old floor.mgf -t 1 0 0", "write it in double quotes: `i \"parts/old floor.mgf\"`"),
+        ("ies my lamp.ies -t 0 0 2", "write it in double quotes: `ies \"my lamp.ies\"`"),
+        ("ies two  blanks.ies", "write it in double quotes: `ies \"two  blanks.ies\"`"),
+        ("ies -t odd.ies", "write it in double quotes: `ies \"-t odd.ies\"`"),
         ("ies lost lamp.ies -t 0 0 2", "found `lamp.ies` after the file name `lost`; if it is part of the name"),
         ("ies Plain.ies 2", "found `2` after the file name `Plain.ies`"),
-        ("map_ed my wood.png", "found `wood.png` after the file name `my`; if it is part of the name, put the name in"),
+        (
+            "map_ed my wood.png",
+            "found `wood.png` after the file name `my`; if it is part of the name, write the name in",
+        ),
         ("map_rd a b c.png", "`map_rd \"a b c.png\"`"),
     ] {
         let error = with(line).unwrap_err();

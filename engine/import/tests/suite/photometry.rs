@@ -235,6 +235,6 @@ fn a_lamp_that_is_scaled_has_no_hint_of_1000_lumens() {
     assert!(notes("ies a.ies -m 2.5 -t 0 0 1").is_empty());
     for scene in ["ies a.ies", "ies a.ies -m 2\nies a.ies -t 0 0 1\nies a.ies"] {
         let [hint] = &notes(scene)[..] else { panic!("one hint") };
-        assert!(hint.starts_with("a.ies:3:3: this file gives 628 lm from lamps of exactly 1000 lm"), "{hint}");
+        assert!(hint.starts_with("a.ies:3:3: the flux of this file is 628 lm from lamps of exactly 1000 lm"), "{hint}");
     }
 }

@@ -235,7 +235,7 @@ fn labels_that_the_scene_does_not_have_are_refused_before_anything_runs() {
     }
     for unknown in ["lamp", "lamps.", "left", "lamps.left/green", "lamps/red/", "haze"] {
         let error = outcome(unknown).unwrap_err();
-        assert!(error.starts_with(&format!("layer `one`: nothing in the scene is called `{unknown}`")), "{error}");
+        assert!(error.starts_with(&format!("layer `one`: unknown label `{unknown}`")), "{error}");
     }
     let layers = vec![Layer::new("one", "CL")];
     assert!(plan(&scene, &settings(layers, Method::Fem), None).is_err_and(|e| e.to_string().contains("`femc`")));

@@ -31,14 +31,16 @@ fn check_path(scope: &Scope<'_>, path: &MotionPath, faults: &mut Faults) {
     let name = &path.name;
     let hands: Vec<f64> = path.keys.iter().map(|key| key.pose.matrix3.determinant()).collect();
     if hands.iter().any(|hand| *hand == 0.0 || !hand.is_finite()) {
-        let message = format!("path `{name}` has a key that flattens space");
+        let message = format!("path `{name}` has a key with a scale of 0");
         faults.add(Error, Animation, path.location, message, "give its `-s` a factor other than 0");
     } else if hands.windows(2).any(|pair| (pair[0] < 0.0) != (pair[1] < 0.0)) {
-        let message = format!("path `{name}` is mirrored at some keys only, and nothing lies between the two");
+        let message = format!(
+            "path `{name}` is mirrored at some keys only: poses between mirrored and unmirrored keys are undefined"
+        );
         faults.add(Error, Animation, path.location, message, "mirror all of its keys or none");
     }
     if scope.scene.clip.is_none() && !path.is_constant() {
-        let message = format!("path `{name}` moves, but the scene has no clip: all is as at 0 s");
+        let message = format!("path `{name}` moves, but the scene has no clip: everything stays as at 0 s");
         faults.add(Warning, Animation, path.location, message, ADD_TIME);
     }
 }
@@ -49,10 +51,10 @@ fn check_varies(scope: &Scope<'_>, faults: &mut Faults) {
     for vary in &scene.varies {
         if let Some(earlier) = first.insert(&vary.selector, vary) {
             let message = format!("`{}` varies twice, also at {}", vary.selector, place(scene, earlier.location));
-            faults.add(Warning, DuplicateName, vary.location, message, "keep one: the last counts");
+            faults.add(Warning, DuplicateName, vary.location, message, "keep one; the last one is used");
         }
         if scene.clip.is_none() && vary.keys.iter().any(|key| key.1 != vary.keys[0].1) {
-            let message = format!("`{}` varies, but the scene has no clip: all is as at 0 s", vary.selector);
+            let message = format!("`{}` varies, but the scene has no clip: everything stays as at 0 s", vary.selector);
             faults.add(Warning, Animation, vary.location, message, ADD_TIME);
         }
     }
@@ -72,7 +74,7 @@ fn check_varies(scope: &Scope<'_>, faults: &mut Faults) {
         | SelectorError::Timeless { selector }) = &error;
         let location = scene.varies.iter().find(|vary| vary.selector == *selector).map_or(WHOLE, |vary| vary.location);
         let advice = match error {
-            SelectorError::Unknown { .. } => "name a scalar of the scene",
+            SelectorError::Unknown { .. } => "use the name of a scalar of the scene",
             SelectorError::Refused { .. } => "change the keys",
             SelectorError::Timeless { .. } => "set it once instead",
         };

@@ -16,13 +16,13 @@ const FAR: f64 = 100.0;
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let size = scope.bounds.diagonal();
     if scope.bounds.is_empty() {
-        faults.add(Warning, Scale, WHOLE, "the scene has no surface and no luminaire", "add some");
+        faults.add(Warning, Scale, WHOLE, "the scene has no surface and no luminaire", "add a surface or a luminaire");
     } else if size > LARGEST {
         let message = format!("the scene is {} across", length(size));
-        faults.add(Warning, Scale, WHOLE, message, "give lengths in metres (`xf -s` scales)");
+        faults.add(Warning, Scale, WHOLE, message, "give lengths in meters (`xf -s` scales)");
     } else if size < SMALLEST {
         let message = format!("the scene is only {} across", length(size));
-        faults.add(Warning, Scale, WHOLE, message, "give lengths in metres (`xf -s` scales)");
+        faults.add(Warning, Scale, WHOLE, message, "give lengths in meters (`xf -s` scales)");
     }
     if scope.scene.cameras.is_empty() {
         faults.add(Warning, CameraFault, WHOLE, "the scene has no camera", "add one: `camera NAME =`");
@@ -34,7 +34,7 @@ fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
     let (name, location) = (&camera.name, camera.location);
     let view = camera.target - camera.origin;
     if view.cross(camera.up).length() <= 1e-12 * view.length() * camera.up.length() {
-        let message = format!("camera `{name}` has its target at its origin, or its up direction along the view");
+        let message = format!("camera `{name}` has its target at its origin, or its up direction parallel to the view");
         faults.add(Error, CameraFault, location, message, "move the target or turn `up`");
         return;
     }
@@ -46,7 +46,7 @@ fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
         let message = format!("the shutter of camera `{name}` closes before it opens");
         faults.add(Error, CameraFault, location, message, "give the earlier fraction first");
     } else if camera.shutter_open < camera.shutter_close && scope.scene.clip.is_none() {
-        let message = format!("the shutter of camera `{name}` is open for a part of no frame interval");
+        let message = format!("the shutter of camera `{name}` has no effect, because the scene has no frame interval");
         faults.add(Warning, CameraFault, location, message, "add `time t0 t1 fps`, or remove `shutter`");
     }
     if !scope.bounds.is_empty() {
@@ -54,7 +54,8 @@ fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
         let nearest = eye.clamp(scope.bounds.min, scope.bounds.max);
         let (away, size) = (eye.distance(nearest), scope.bounds.diagonal());
         if away > FAR * size {
-            let message = format!("camera `{name}` is {} from a scene {} across", length(away), length(size));
+            let message =
+                format!("camera `{name}` is {} away from a scene that is {} across", length(away), length(size));
             faults.add(Warning, Scale, location, message, "check the units of its origin");
         }
     }

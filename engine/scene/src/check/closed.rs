@@ -90,9 +90,9 @@ fn open_edges(scope: &Scope<'_>, group: &Group, bounds: &[bool], step: f64, faul
                 && matches!(quadric.shape, Shape::Cone { .. } | Shape::Ring { .. })
         });
         if let (false, Some(material)) = (is_mixed, scope.scene.materials.get(material.index())) {
-            let edges = if count == 1 { "edge of it has" } else { "edges of it have" };
-            let message = format!("{} bounds a solid, but {count} {edges} a face on one side only", title(material));
-            faults.add(Warning, OpenBoundary, location, message, "close the surface, and let its faces share corners");
+            let edges = if count == 1 { "edge has" } else { "edges have" };
+            let message = format!("{} bounds a solid, but {count} {edges} a face on only one side", title(material));
+            faults.add(Warning, OpenBoundary, location, message, "close the surface, and make its faces share corners");
         }
     }
 }
@@ -158,7 +158,13 @@ fn cameras_inside(scope: &Scope<'_>, bounds: &[bool], faults: &mut Faults) {
         }
         for (material, _) in scope.scene.materials.iter().zip(turns).filter(|(_, turns)| *turns > INSIDE) {
             let message = format!("camera `{}` starts inside a solid of {}", camera.name, title(material));
-            faults.add(Note, CameraFault, camera.location, message, "nothing, if it is meant to look out of it");
+            faults.add(
+                Note,
+                CameraFault,
+                camera.location,
+                message,
+                "ignore this if the camera should look out of the solid",
+            );
         }
     }
 }

@@ -35,7 +35,7 @@ fn check_face(group: &Group, face: &Face, faults: &mut Faults) {
         crosses.fold((0.0, DVec3::ZERO), |(area, sum), cross| (area + cross.length(), sum + cross));
     let size = Bounds::of(corners()).diagonal();
     if twice_area <= NO_AREA * size * size {
-        let message = "the face has no area: it is left out";
+        let message = "the face has no area: it is skipped";
         faults.add(Warning, DegenerateSurface, face.location, message, "remove it or move its corners apart");
         return;
     }
@@ -44,8 +44,10 @@ fn check_face(group: &Group, face: &Face, faults: &mut Faults) {
         .map(|p| normal.dot(p))
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), d| (low.min(d), high.max(d)));
     if high - low > OUT_OF_PLANE * size {
-        let message =
-            format!("the face is not planar: its corners are within {:.1} % of its size", 100.0 * (high - low) / size);
+        let message = format!(
+            "the face is not planar: its corners deviate from a plane by {:.1} % of its size",
+            100.0 * (high - low) / size
+        );
         let severity = if high - low > BENT * size { Warning } else { Note };
         faults.add(severity, NonPlanarFace, face.location, message, "split it into triangles");
     }
@@ -61,7 +63,7 @@ fn check_quadric(quadric: &Quadric, faults: &mut Faults) {
         Shape::Torus { major, minor, .. } => ("torus", major > 0.0 && minor > 0.0),
     };
     if !has_area {
-        let message = format!("the {what} has no area: it is left out");
+        let message = format!("the {what} has no area: it is skipped");
         faults.add(Warning, DegenerateSurface, quadric.location, message, "remove it or give it a size");
     }
 }

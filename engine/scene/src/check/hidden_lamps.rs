@@ -33,7 +33,7 @@ const AROUND: (f64, f64) = (0.02, 0.2);
 const BUDGET: u64 = 4_000_000;
 
 /// End of the message for a camera that no light reaches. When it is present, lamps are not reported for the same reason.
-pub(super) const BLACK: &str = "its picture is black";
+pub(super) const BLACK: &str = "its image is black";
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let mut search = Search::new(scope);
@@ -61,13 +61,13 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         faults.add(Warning, LightsNothing, location, format!("{message}{copies}"), advice);
     }
     if looked_at < all.len() {
-        let message = format!("whether light gets out was looked at for {looked_at} of {} lamps alone", all.len());
+        let message = format!("only {looked_at} of {} lamps were checked for light that is blocked", all.len());
         faults.add(
             Note,
             Incomplete,
             WHOLE,
             message,
-            "check a part of the scene for itself, if lamps seem to be missing",
+            "if lamps seem to be missing, check parts of the scene separately",
         );
     }
 }
@@ -225,8 +225,8 @@ impl<'a, 'b> Search<'a, 'b> {
         match hidden {
             Hidden::Glass(material, part) => (
                 format!(
-                    "{} of this lamp cannot get through the solid glass around it ({}): the lamp is a point, and no \
-                     path that glass bends meets a point",
+                    "{} of this lamp cannot get through the solid glass around it ({}): the lamp is a point, and \
+                     refracted paths never hit a point",
                     share(part),
                     named(material)
                 ),
@@ -235,30 +235,31 @@ impl<'a, 'b> Search<'a, 'b> {
             ),
             Hidden::Mirror(material, part) => (
                 format!(
-                    "{} of this lamp meets perfect mirrors ({}): the lamp is a point, and no path that a mirror \
-                     reflects meets a point",
+                    "{} of this lamp hits perfect mirrors ({}): the lamp is a point, and paths that a mirror \
+                     reflects never hit a point",
                     share(part),
                     named(material)
                 ),
-                "give the lamp a size (in its photometric file, or a small sphere with `ed` instead), or the mirror a \
+                "give the lamp a size (in its photometric file, or a small sphere with `ed` instead), or give the mirror a \
                  roughness (`rs .9 .05`)",
             ),
             Hidden::Stopped(material) => (
                 format!(
-                    "surfaces stop all light of this lamp ({}): the lamp is inside a solid, or behind a one-sided surface",
+                    "surfaces block all light of this lamp ({}): the lamp is inside a solid, or behind a one-sided surface",
                     named(material)
                 ),
                 "move the lamp in front of the surface",
             ),
             Hidden::Near(millimeters) => (
                 format!(
-                    "the light of this lamp meets only surfaces within {:.1} cm of it, and no camera sees them",
+                    "the light of this lamp hits only surfaces within {:.1} cm of it, and no camera sees them",
                     f64::from(millimeters) / 10.0
                 ),
                 "move the lamp out of the wall, or below the ceiling",
             ),
             Hidden::Apart => (
-                "the light of this lamp reaches no place that a camera sees: opaque surfaces are between".to_owned(),
+                "the light of this lamp does not reach any place that a camera sees: opaque surfaces block it"
+                    .to_owned(),
                 "move the lamp into the space that the camera sees, for example below the ceiling",
             ),
         }

@@ -35,28 +35,28 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         let is_enclosed = found.begun > 0 && found.escaped == 0;
         closed &= is_enclosed;
         if is_enclosed && found.lit == 0 && !glows && !lamps.is_empty() {
-            let message = format!("camera `{}` is enclosed by surfaces that no light gets into: {BLACK}", camera.name);
-            faults.add(Warning, CameraFault, camera.location, message, "move it out of the solid, or put a lamp in");
+            let message = format!("camera `{}` is enclosed by surfaces that block all light: {BLACK}", camera.name);
+            faults.add(
+                Warning,
+                CameraFault,
+                camera.location,
+                message,
+                "move it out of the solid, or put a lamp inside",
+            );
         }
     }
     // A free-standing mirror or screen has a back, too, but lets little light through it.
     let much = |(_, (_, count)): &(MaterialId, (Location, u32))| f64::from(*count) >= THROUGH_BACKS * f64::from(lit);
     for (material, (location, _)) in backs.into_iter().filter(much) {
         let Some(material) = scope.scene.materials.get(material.index()) else { continue };
-        let message = format!("light comes in through the back of this wall: {} has one side", title(material));
-        let advice = "let its front face the room, or give it `sides 2`, if it is to be dark behind";
+        let message = format!("light enters through the back of this wall: {} is one-sided", title(material));
+        let advice = "turn its front toward the room, or use `sides 2` if the wall should block light from behind";
         faults.add(Warning, OneSidedWall, location, message, advice);
     }
     if closed && nothing_absorbs(scope) {
         let message =
-            "the scene is closed, and no surface or medium in it absorbs: light never leaves it, and paths have no end";
-        faults.add(
-            Warning,
-            EnergyTrap,
-            WHOLE,
-            message,
-            "let a surface give back less than all light, or limit `--max-depth`",
-        );
+            "the scene is closed, and no surface or medium in it absorbs: light never leaves it, and paths never end";
+        faults.add(Warning, EnergyTrap, WHOLE, message, "make a surface absorb some light, or set `--max-depth`");
     }
 }
 

@@ -22,7 +22,7 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     }
     covered_lamps(scope, faults);
     if scope.scene.is_dark() {
-        let message = "nothing in the scene emits light: every picture of it is black";
+        let message = "nothing in the scene emits light: every image of it is black";
         faults.add(Warning, LightsNothing, WHOLE, message, "add a surface with `ed`, an `ies` luminaire or a `glow`");
     }
 }
@@ -40,7 +40,7 @@ fn check_material(scope: &Scope<'_>, material: &Material, faults: &mut Faults) {
     let (location, title) = (material.location, title(material));
     if emittance(scope, material) > 0.0 {
         if is_black(material) {
-            let message = format!("{title} emits light of a black color");
+            let message = format!("{title} emits light with a black color");
             faults.add(Warning, LightsNothing, location, message, "give `ed` another color");
         }
         return;
@@ -87,8 +87,14 @@ pub(super) fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
     }
     for (area, covered, location) in lamps.into_values() {
         if covered > COVERED * area {
-            let message = "the one-sided lamp shines straight into a surface right in front of it";
-            faults.add(Warning, LightsNothing, location, message, "turn it round, or move it to the other side");
+            let message = "the one-sided lamp emits directly into a surface in front of it";
+            faults.add(
+                Warning,
+                LightsNothing,
+                location,
+                message,
+                "turn it around, or move it to the other side of the surface",
+            );
         }
     }
 }

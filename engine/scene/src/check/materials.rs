@@ -34,7 +34,7 @@ fn energy(material: &Material, faults: &mut Faults) {
     if sum > Material::SUM_LIMIT {
         let message =
             format!("{} returns {sum:.4} times the light that it receives (rd + td + rs + ts)", title(material));
-        faults.add(Error, EnergyGain, material.location, message, "make them smaller");
+        faults.add(Error, EnergyGain, material.location, message, "reduce these values");
         return;
     }
     let channels = [0, 1, 2].map(|channel| material.asked_of_channel(channel));
@@ -47,7 +47,7 @@ fn energy(material: &Material, faults: &mut Faults) {
     };
     if value > 1.0 + ROOM {
         let message = format!(
-            "{} asks for {value:.3} times the {strongest} light that it receives: limited to what it receives",
+            "{} would return {value:.3} times the {strongest} light that it receives: limited to the received light",
             title(material)
         );
         faults.add(Warning, EnergyGain, material.location, message, "make it darker, or its color less saturated");
@@ -65,7 +65,7 @@ fn gamut(material: &Material, faults: &mut Faults) {
                 ["red", "green", "blue"][channel],
                 tinted.color[channel]
             );
-            faults.add(Note, OutOfGamut, material.location, message, "take a less saturated color if it matters");
+            faults.add(Note, OutOfGamut, material.location, message, "use a less saturated color if this matters");
         }
     }
 }

@@ -47,7 +47,7 @@ fn placed(scope: &Scope<'_>, faults: &mut Faults) {
 fn insides(scope: &Scope<'_>, faults: &mut Faults) {
     for (material, _) in scope.scene.materials.iter().zip(&scope.used).filter(|(_, used)| **used) {
         if material.inside.is_some() && material.sides == Sides::Two {
-            let message = format!("{} has a medium inside, but two sides and so no inside", title(material));
+            let message = format!("{} has a medium inside, but it is two-sided and has no inside", title(material));
             faults.add(Warning, OpenBoundary, material.location, message, "give it `sides 1`");
         }
     }
@@ -65,7 +65,7 @@ fn thin(scope: &Scope<'_>, medium: &Medium, faults: &mut Faults) {
             OpticalDepth,
             medium.location,
             message,
-            "raise `sigma_s` or `sigma_a` (1/m) if it is to be seen",
+            "raise `sigma_s` or `sigma_a` (1/m) if it should be visible",
         );
     }
 }
@@ -84,7 +84,7 @@ fn thick(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
     }
     if depth > OPAQUE {
         let message = format!(
-            "camera `{}` looks at its target through media of optical depth {depth:.0}: it will not see it",
+            "camera `{}` looks at its target through media of optical depth {depth:.0}: the target is not visible",
             camera.name
         );
         let advice = "lower `sigma_s` and `sigma_a` (1/m), or move the camera";

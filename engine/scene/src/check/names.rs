@@ -25,7 +25,7 @@ fn unused_materials(scope: &Scope<'_>, faults: &mut Faults) {
         named.entry(&material.name).or_insert((material.location, false)).1 |= used;
     }
     for (name, (location, _)) in named.into_iter().filter(|(_, (_, used))| !used) {
-        let message = format!("material `{name}` is on no surface");
+        let message = format!("material `{name}` is not used on any surface");
         faults.add(Note, UnusedName, location, message, "use it or remove it, unless it is a template");
     }
 }
@@ -48,15 +48,17 @@ fn default_names(scope: &Scope<'_>, faults: &mut Faults) {
     let named = scene.objects.iter().position(|object| object.name == UNNAMED);
     let first = surfaces().filter(|(object, ..)| object.map(crate::ObjectId::index) == named).map(|it| it.2).min();
     if let (Some(_), Some(location), true) = (named, first, surfaces().any(|(object, ..)| object.is_none())) {
-        let message =
-            format!("object `{UNNAMED}` has the Cryptomatte id of what is in no object: both are picked as one");
-        faults.add(Warning, DuplicateName, location, message, "rename it, or put everything into objects");
+        let message = format!(
+            "object `{UNNAMED}` has the same Cryptomatte id as surfaces outside of objects: both are selected together"
+        );
+        faults.add(Warning, DuplicateName, location, message, "rename it, or put all surfaces into objects");
     }
     let unnamed = surfaces().any(|(_, id, _)| scene.materials.get(id.index()).is_some_and(|it| it.name.is_empty()));
     let used = scene.materials.iter().zip(&scope.used).find(|(material, used)| **used && material.name == UNNAMED);
     if let (Some((material, _)), true) = (used, unnamed) {
-        let message =
-            format!("material `{UNNAMED}` has the Cryptomatte id of the unnamed material: both are picked as one");
+        let message = format!(
+            "material `{UNNAMED}` has the same Cryptomatte id as the unnamed material: both are selected together"
+        );
         faults.add(
             Warning,
             DuplicateName,
@@ -101,7 +103,7 @@ fn duplicates<'a>(
     let mut first: BTreeMap<&str, Location> = BTreeMap::new();
     for (name, location) in names {
         if let Some(earlier) = first.get(name) {
-            let message = format!("{what} `{name}` is defined before, at {}", place(scope.scene, *earlier));
+            let message = format!("{what} `{name}` is already defined at {}", place(scope.scene, *earlier));
             faults.add(Warning, DuplicateName, location, message, "rename one of them");
         } else {
             first.insert(name, location);

@@ -65,7 +65,7 @@ fn deepest(scope: &Scope<'_>, point: DVec3, faults: &mut Faults) -> bool {
         inside.push(medium.0);
         if inside.len() > Medium::MOST_NESTED {
             let message = format!(
-                "the medium inside {} is nested in {} others: media beyond {} are not seen",
+                "the medium inside {} is nested in {} others: only {} nested media are tracked",
                 title(material),
                 Medium::MOST_NESTED,
                 Medium::MOST_NESTED

@@ -144,7 +144,7 @@ fn report(
         Sense::Opposite => (Note, format!("the face touches {other} back to back on {area}")),
     };
     let advice = match severity {
-        Note => "nothing, unless both can be seen from one side",
+        Note => "ignore this unless both faces are visible from the same side",
         _ => "move one of them, or remove the part that is covered",
     };
     faults.add(severity, OverlappingFaces, second, message, advice);

@@ -32,7 +32,7 @@ use std::fmt;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SelectorError {
     /// No scalar of the scene has this name.
-    #[error("no scalar of the scene is called `{selector}`; nearest: {}", Names(nearest))]
+    #[error("unknown scalar `{selector}`; nearest: {}", Names(nearest))]
     Unknown {
         /// The selector, as given.
         selector: String,
@@ -82,7 +82,7 @@ pub enum Constraint {
     #[error("it must be from {0} to {1}")]
     Within(f64, f64),
     /// Between two bounds, exclusive.
-    #[error("it must be between {0} and {1}, neither included")]
+    #[error("it must be more than {0} and less than {1}")]
     Between(f64, f64),
     /// One of two values.
     #[error("it must be {0} or {1}")]
@@ -97,7 +97,7 @@ pub enum Constraint {
     #[error("the shutter would close before it opens")]
     Shutter,
     /// The camera would have no view direction.
-    #[error("the camera's target would be at its origin, or its up direction along the view")]
+    #[error("the camera's target would be at its origin, or its up direction would be parallel to the view")]
     View,
     /// The keys of the path would not ascend.
     #[error("the times of the path's keys would not ascend")]

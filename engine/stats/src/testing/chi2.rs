@@ -94,7 +94,7 @@ pub fn sphere_test(
 /// Tests counts against expected counts with chi-square and pooling; `integral` is the sum of `expected` over the number of
 /// samples.
 pub fn pooled_test(expected: &[f64], observed: &[u64]) -> Chi2 {
-    assert_eq!(expected.len(), observed.len(), "as many expected as observed counts");
+    assert_eq!(expected.len(), observed.len(), "the numbers of expected and observed counts differ");
     let total: u64 = observed.iter().sum();
     let integral = expected.iter().sum::<f64>() / total.max(1) as f64;
     let mut order: Vec<usize> = (0..expected.len()).collect();
@@ -135,7 +135,7 @@ fn cell_of(d: [f64; 3], cells: Cells) -> usize {
 
 /// Integrates `pdf` over each cell, row by row.
 fn integrate_cells(pdf: &impl Fn([f64; 3]) -> f64, cells: Cells) -> Vec<f64> {
-    assert!(cells.theta.is_multiple_of(2) && cells.theta * cells.phi > 1, "an even number of rows");
+    assert!(cells.theta.is_multiple_of(2) && cells.theta * cells.phi > 1, "the number of rows must be even");
     let density = |theta: f64, phi: f64| {
         let (sin, cos) = libm::sincos(theta);
         let (s, c) = libm::sincos(phi);

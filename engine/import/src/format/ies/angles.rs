@@ -13,18 +13,20 @@ pub(super) fn vertical(
     let what = "vertical angle";
     let (angles, whole) = match kind {
         PhotometryType::C => {
-            let angles = numbers.ascending(count, what, 0.0, 180.0, "in [0, 180] and above the one before it")?;
+            let angles =
+                numbers.ascending(count, what, 0.0, 180.0, "in [0, 180] and greater than the previous angle")?;
             let whole = matches!(angles[..], [0.0 | 90.0, .., 90.0 | 180.0]);
             (angles, whole)
         }
         PhotometryType::A | PhotometryType::B => {
-            let angles = numbers.ascending(count, what, -90.0, 90.0, "in [-90, 90] and above the one before it")?;
+            let angles =
+                numbers.ascending(count, what, -90.0, 90.0, "in [-90, 90] and greater than the previous angle")?;
             let whole = matches!(angles[..], [-90.0 | 0.0, .., 90.0]);
             (angles, whole)
         }
     };
     if !whole {
-        let what = "vertical angles do not cover a quadrant or a half: used as they stand, with no light beyond them";
+        let what = "vertical angles cover neither a quadrant nor a half: used unchanged, with no light beyond them";
         remarks.warn(numbers.here(), what);
     }
     Ok(angles)
@@ -39,19 +41,19 @@ pub(super) fn horizontal(
 ) -> Result<(Vec<f64>, bool), ImportError> {
     let what = "horizontal angle";
     if let PhotometryType::A | PhotometryType::B = kind {
-        let angles = numbers.ascending(count, what, -90.0, 90.0, "in [-90, 90] and above the one before it")?;
+        let angles = numbers.ascending(count, what, -90.0, 90.0, "in [-90, 90] and greater than the previous angle")?;
         if !matches!(angles[..], [0.0] | [-90.0 | 0.0, .., 90.0]) {
             let what =
-                "horizontal angles do not cover a quadrant or a half: used as they stand, with no light beyond them";
+                "horizontal angles cover neither a quadrant nor a half: used unchanged, with no light beyond them";
             remarks.warn(numbers.here(), what);
         }
         return Ok((angles, false));
     }
     numbers.token();
     let start = numbers.here();
-    let mut angles = numbers.ascending(count, what, 0.0, 360.0, "in [0, 360] and above the one before it")?;
+    let mut angles = numbers.ascending(count, what, 0.0, 360.0, "in [0, 360] and greater than the previous angle")?;
     let mut wrap = false;
-    let closes = "horizontal angles stop short of 360: the first plane closes the circle";
+    let closes = "horizontal angles do not cover a full turn: the first plane closes the circle";
     match angles[..] {
         [_] | [0.0, .., 90.0 | 180.0 | 360.0] | [90.0, .., 270.0] => {}
         [0.0, .., last] if last > 180.0 => {
@@ -67,7 +69,7 @@ pub(super) fn horizontal(
         // The table itself closes the circle.
         [first, .., last] if last - first > 180.0 => remarks.warn(numbers.here(), closes),
         [first, ..] => {
-            let allowed = "0, as no other angle says how the planes repeat (90 to 270 is possible, too)";
+            let allowed = "0, because no other first angle defines how the planes repeat (except 90 to 270)";
             return Err(ImportError::new(
                 start,
                 Fault::OutOfRange { what: "first horizontal angle", value: first, allowed },

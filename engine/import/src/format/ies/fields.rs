@@ -35,14 +35,20 @@ impl Fields {
         let lamps_at = numbers.here();
         let lamps = numbers.number_in("number of lamps", ">= 0", |x| x >= 0.0)?;
         if lamps < 1.0 || lamps != lamps.trunc() {
-            remarks.warn(lamps_at, format!("number of lamps is {lamps}, not a whole number from 1 on; it is not used"));
+            remarks.warn(
+                lamps_at,
+                format!(
+                    "number of lamps is {lamps}; it should be a whole number of at least 1 (the value is not used)"
+                ),
+            );
         }
         numbers.token();
         let lumens_at = numbers.here();
         let lumens = numbers.number("lumens per lamp")?;
         if lumens <= 0.0 && lumens != -1.0 {
-            let what =
-                format!("lumens per lamp is {lumens}, neither a flux nor -1 (absolute photometry); it is not used");
+            let what = format!(
+                "lumens per lamp is {lumens}; it should be positive, or -1 for absolute photometry (the value is not used)"
+            );
             remarks.warn(lumens_at.clone(), what);
         }
         let multiplier = numbers.number_in("candela multiplier", "> 0", |x| x > 0.0)?;
@@ -91,8 +97,8 @@ fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut R
         let value = ahead.number("field after the ballast factor")?;
         if value != 1.0 {
             let reason = format!(
-                "the field after the ballast factor is {value}, a factor in files of 1986 and 1991 alone, and `{line}` names no \
-                 edition that exists"
+                "the field after the ballast factor is {value}; only the editions of 1986 and 1991 use it as a factor, and `{line}` does \
+                 not name a known edition"
             );
             return Err(numbers.bad(reason, "name the edition in the first line, as in `IESNA:LM-63-2002`"));
         }
@@ -101,13 +107,13 @@ fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut R
         SecondFactor::BallastLamp => {
             let factor = numbers.number_in("ballast-lamp factor", ">= 0", |x| x >= 0.0)?;
             if factor == 0.0 {
-                remarks.warn(at, "ballast-lamp factor is 0: taken as 1");
+                remarks.warn(at, "ballast-lamp factor is 0: treated as 1");
                 return Ok(1.0);
             }
             if factor != 1.0 && header.named == (Named::Nowhere { keywords: true }) {
                 let what = format!(
-                    "ballast-lamp factor is {factor}: it counts, as no line names an edition, which makes a file of 1986, but \
-                     keywords are newer; name the edition in the first line"
+                    "ballast-lamp factor {factor} is applied: no line names an edition, so the file is read as the edition of 1986, but \
+                     its keywords are newer; name the edition in the first line"
                 );
                 remarks.warn(at, what);
             }
@@ -117,8 +123,8 @@ fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut R
             let value = numbers.number("field after the ballast factor")?;
             if value != 1.0 {
                 let what = format!(
-                    "the field after the ballast factor is {value}: it is reserved in the edition of {year} and not used (in files \
-                     of 1986 and 1991 it is a factor)"
+                    "the field after the ballast factor is {value}: the edition of {year} reserves it, so it is not used (in files of \
+                     1986 and 1991 it is a factor)"
                 );
                 remarks.warn(at, what);
             }
@@ -127,7 +133,8 @@ fn second_factor(header: &Header<'_>, numbers: &mut Numbers<'_>, remarks: &mut R
         SecondFactor::GenerationType => {
             let code = numbers.number("file generation type")?;
             if !is_generation_type(code) {
-                let what = format!("file generation type {code} is no code of the edition of {year}; it is not used");
+                let what =
+                    format!("file generation type {code} is not a code of the edition of {year}; it is not used");
                 remarks.note(at, what);
             }
             Ok(1.0)

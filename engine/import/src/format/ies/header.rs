@@ -57,12 +57,17 @@ impl<'t> Header<'t> {
                 let read = year.and_then(Edition::of_year);
                 if let Some(edition) = read.filter(|edition| Some(edition.year()) != year) {
                     let year = edition.year();
-                    remarks.warn(place(line, 1), format!("`{shown}` is no known edition: read as that of {year}"));
+                    remarks.warn(
+                        place(line, 1),
+                        format!("`{shown}` is not a known edition: read as the edition of {year}"),
+                    );
                 }
                 if let (Some(edition), false) = (read, first_text) {
                     let year = edition.year();
-                    remarks
-                        .warn(place(line, 1), format!("the edition is not in the first line: read as that of {year}"));
+                    remarks.warn(
+                        place(line, 1),
+                        format!("the edition is not in the first line: read as the edition of {year}"),
+                    );
                 }
                 let unclear = (Edition::E2002, Named::Unclear { line: shown });
                 named = Some(read.map_or(unclear, |edition| (edition, Named::Line)));
@@ -71,8 +76,8 @@ impl<'t> Header<'t> {
         }
         let fault = Fault::BadFile {
             path: path.to_owned(),
-            reason: "it has no TILT= line".into(),
-            advice: "is it an IES (LM-63) file?",
+            reason: "the file has no TILT= line".into(),
+            advice: "check that it is an IES (LM-63) file",
         };
         Err(ImportError::new(place(line.max(1), 0), fault))
     }

@@ -10,14 +10,14 @@ const EQUAL: f64 = 1e-3;
 
 /// Returns a warning if the table has no light.
 pub(super) fn no_light(fields: &Fields, lumens: f64) -> Option<Remark> {
-    (lumens == 0.0).then(|| (fields.lumens_at.clone(), "every intensity is 0: the lamp gives no light".into()))
+    (lumens == 0.0).then(|| (fields.lumens_at.clone(), "all intensities are 0: the lamp emits no light".into()))
 }
 
 /// Returns a note if the table has more light than its lamps.
 pub(super) fn more_than_lamps(fields: &Fields, lumens: f64) -> Option<Remark> {
     let of_lamps = fields.lamps * fields.lumens * fields.ballast;
     let what = format!(
-        "the intensities add up to {lumens:.0} lm, more than the {of_lamps:.0} lm of the lamps; the intensities are used: check the \
+        "the intensities add up to {lumens:.0} lm, more than the {of_lamps:.0} lm of the lamps; the intensities are used; check the \
          candela multiplier"
     );
     (of_lamps > 0.0 && lumens > TOLERANCE * of_lamps).then(|| (fields.lumens_at.clone(), what.into()))
@@ -29,9 +29,9 @@ pub(super) fn normalized(fields: &Fields, lumens: f64) -> Option<Remark> {
     let is_1000 = |lumens: f64| (lumens / 1000.0 - 1.0).abs() <= EQUAL;
     let excess = more_than_lamps(fields, lumens).is_some();
     let gives = if is_1000(lumens) {
-        "this file gives exactly 1000 lm".to_owned()
+        "the flux of this file is exactly 1000 lm".to_owned()
     } else if is_1000(fields.lumens) && fields.multiplier == 1.0 && lumens > 0.0 && !excess {
-        format!("this file gives {lumens:.0} lm from lamps of exactly 1000 lm")
+        format!("the flux of this file is {lumens:.0} lm from lamps of exactly 1000 lm")
     } else {
         return None;
     };

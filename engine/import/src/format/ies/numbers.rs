@@ -83,7 +83,7 @@ impl<'t> Numbers<'t> {
 
     pub fn number(&mut self, what: &'static str) -> Result<f64, ImportError> {
         let Some(field) = self.token() else {
-            return Err(self.bad(format!("it ends where the {what} should be"), "it may be cut short"));
+            return Err(self.bad(format!("the file ends before the {what}"), "check whether it is truncated"));
         };
         self.check_commas(field)?;
         let Some(value) = parse(field) else {
@@ -108,7 +108,7 @@ impl<'t> Numbers<'t> {
             return Err(ImportError::new(at, Fault::DecimalComma { found }));
         }
         if commas > 1 || (commas > 0 && self.end == 0) {
-            let advice = "write one comma between two numbers, or blanks alone";
+            let advice = "separate two numbers with one comma, or with spaces only";
             return Err(self.bad("a number is missing between commas".into(), advice));
         }
         Ok(())

@@ -21,10 +21,10 @@ use super::edition::Edition;
 use femc_math::elementary::double::cbrt;
 use femc_scene::Opening;
 
-const LINE: &str = "luminous opening is a line: taken as a point";
-const ELLIPSE: &str = "elliptic luminous opening: taken as the circle of its area";
-const ELLIPSOID: &str = "ellipsoidal luminous opening: taken as the sphere of its volume";
-const LYING: &str = "lying round luminous opening: taken as the box around it";
+const LINE: &str = "luminous opening is a line: treated as a point";
+const ELLIPSE: &str = "elliptic luminous opening: treated as a circle of the same area";
+const ELLIPSOID: &str = "ellipsoidal luminous opening: treated as a sphere of the same volume";
+const LYING: &str = "round luminous opening with a horizontal axis: treated as its bounding box";
 
 /// Returns the luminous opening of `size` (width, length and height in meters). Round shapes that the description cannot represent
 /// become their box or their mean, with a remark.

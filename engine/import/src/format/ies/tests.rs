@@ -150,7 +150,7 @@ fn nothing_may_follow_the_last_intensity_but_end() {
         ("[MORE] text", "`[MORE]` follows"),
     ] {
         let error = read(&(good.clone() + tail)).unwrap_err().to_string();
-        assert!(error.contains(says) && error.contains("remove what does not belong"), "{tail:?}: {error}");
+        assert!(error.contains(says) && error.contains("remove the extra data"), "{tail:?}: {error}");
     }
     let error = read(&good.replace("NONE", "long.tlt")).unwrap_err().to_string();
     assert!(error.starts_with("long.tlt:4:9: 1 number follows the last tilt factor"), "{error}");

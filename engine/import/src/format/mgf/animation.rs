@@ -17,8 +17,8 @@ impl Reader<'_> {
     pub(super) fn time(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(3..=3, "t0 t1 fps")?;
         let start = args.number(0, "start (s)")?;
-        let end = args.number_in(1, "end (s)", "not before the start", |t| t >= start)?;
-        let fps = args.number_in(2, "frames a second", "> 0", |f| f > 0.0)?;
+        let end = args.number_in(1, "end (s)", "at or after the start", |t| t >= start)?;
+        let fps = args.number_in(2, "frames per second", "> 0", |f| f > 0.0)?;
         let within = (end - start) * fps <= MAX_FRAMES;
         if !within {
             return Err(args.fault(Fault::TooMany { what: "frames", limit: MAX_FRAMES as u64 }));
@@ -77,13 +77,13 @@ impl Reader<'_> {
             transform::parse(args.tail(1), &find)?
         };
         if !spec.layers.is_empty() {
-            let fault = Fault::Shape { what: "a key is one pose", advice: "use neither -a nor -path in it" };
+            let fault = Fault::Shape { what: "a key holds a single pose", advice: "remove -a and -path from it" };
             return Err(args.fault(fault));
         }
         if is_mirror(&spec.baked) {
             let fault = Fault::Shape {
-                what: "a key cannot mirror: poses between keys are turned",
-                advice: "mirror in the `xf`",
+                what: "a key cannot mirror: poses between keys are interpolated by rotation",
+                advice: "mirror in the `xf` instead",
             };
             return Err(args.fault(fault));
         }

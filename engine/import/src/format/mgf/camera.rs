@@ -91,9 +91,9 @@ impl Reader<'_> {
                 if camera.shutter_close < camera.shutter_open {
                     return Err(args.range(
                         1,
-                        "closing of the shutter",
+                        "closing time of the shutter",
                         camera.shutter_close,
-                        "not before its opening",
+                        "at or after the opening time",
                     ));
                 }
             }
@@ -122,9 +122,12 @@ impl Reader<'_> {
     pub(super) fn finish_cameras(&mut self) -> Result<()> {
         for camera in self.cameras.sound() {
             let [what, advice] = match (camera.target - camera.origin).try_normalize() {
-                None => ["this camera looks nowhere: origin and target are one point", "give both, and apart"],
+                None => [
+                    "this camera has no view direction: origin and target are the same point",
+                    "set both to different points",
+                ],
                 Some(view) if view.cross(camera.up.normalize_or_zero()).length() < PARALLEL => {
-                    ["this camera's `up` is parallel to its view", "choose another `up`"]
+                    ["this camera's `up` is parallel to its view direction", "choose another `up`"]
                 }
                 Some(_) => continue,
             };

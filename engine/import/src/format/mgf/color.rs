@@ -60,7 +60,7 @@ impl Reader<'_> {
         let first = args.number_in(0, "first wavelength (nm)", "> 0", |x| x > 0.0)?;
         let last = args.number(1, "last wavelength (nm)")?;
         if last <= first {
-            return Err(args.range(1, "last wavelength (nm)", last, "above the first one"));
+            return Err(args.range(1, "last wavelength (nm)", last, "greater than the first wavelength"));
         }
         let value = |i| args.number(i, "spectral value");
         let mut samples = (2..args.len()).map(value).collect::<Result<Vec<f64>>>()?;
@@ -90,7 +90,8 @@ impl Reader<'_> {
             let weight = args.number_in(i, "weight", ">= 0", |w| w >= 0.0)?;
             let slot = self.colors.index(args, i + 1, &mut self.errors)?;
             let color = *self.colors.get(slot);
-            let what = Fault::Shape { what: "a black color has no chromaticity to mix", advice: "use a brighter one" };
+            let what =
+                Fault::Shape { what: "a black color has no chromaticity to mix", advice: "use a brighter color" };
             let unit = spectrum::normalized(color.wide).ok_or_else(|| args.fault_at(i + 1, what))?;
             for k in 0..3 {
                 sum[k] += weight * unit[k];

@@ -62,7 +62,7 @@ impl Reader<'_> {
     fn tilt_factor(&mut self, args: &Args<'_>, tilt: &Tilt) -> f64 {
         let poses = self.world_transforms(1).unwrap_or_default();
         let [pose] = poses[..] else {
-            let what = "tilt factors do not follow arrays and paths: the factor of the upright position is used";
+            let what = "tilt factors ignore arrays and paths: the factor for the upright position is used";
             self.warn(args, Oddity::Photometry { what: what.into() });
             return tilt.factor(0.0);
         };

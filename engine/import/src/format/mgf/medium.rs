@@ -131,15 +131,16 @@ impl Reader<'_> {
         let (a, b) = (args.vector(1, "coordinate (m)")?, args.vector(4, "coordinate (m)")?);
         let (min, max) = (a.min(b), a.max(b));
         if !(max - min).cmpgt(Default::default()).all() || !(max - min).is_finite() {
-            let fault = Fault::Shape { what: "this box has no volume", advice: "let its corners differ in x, y and z" };
+            let fault =
+                Fault::Shape { what: "this box has no volume", advice: "use two corners that differ in x, y and z" };
             return Err(args.fault(fault));
         }
         let left = MAX_REGIONS - (self.scene.regions.len() as u64).min(MAX_REGIONS);
         let transforms = self.world_transforms(left).map_err(|placement| {
             args.fault(match placement {
                 Placement::Moving => Fault::Unsupported {
-                    what: "a medium box that a path moves",
-                    advice: "take it out of the `xf -path`",
+                    what: "a medium box that moves along a path",
+                    advice: "move it out of the `xf -path`",
                 },
                 Placement::TooMany => {
                     Fault::TooMany { what: "regions of media after array expansion", limit: MAX_REGIONS }

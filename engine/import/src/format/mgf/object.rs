@@ -15,7 +15,7 @@ const MAX_NAME: usize = 4096;
 impl Reader<'_> {
     /// Reads `o [name]`. An object that is opened again under the same full name is the same object.
     pub(super) fn o(&mut self, args: &Args<'_>) -> Result<()> {
-        args.count(..=1, "a name, or nothing to close")?;
+        args.count(..=1, "a name, or nothing to close an object")?;
         if args.len() == 0 {
             if self.objects.len() <= self.open_at_start().objects {
                 return Err(args.fault(Fault::NothingToClose { entity: "o" }));

@@ -106,7 +106,7 @@ impl Reader<'_> {
         let to_group = if layers.is_empty() { outer.to_group * baked } else { baked };
         let scale = scale_of(&to_group);
         if !to_group.is_finite() || !scale.is_normal() {
-            return Err(args.fault(Fault::NotFinite { what: "the transform with those around it" }));
+            return Err(args.fault(Fault::NotFinite { what: "the transform combined with the enclosing transforms" }));
         }
         let mirrored = is_mirror(&to_group);
         let opened = (!layers.is_empty()).then(|| {

@@ -31,8 +31,10 @@ impl Reader<'_> {
             let end = i == args.len();
             if end || args.raw(i) == b"-" {
                 if indices.len() - first < 3 {
-                    let what =
-                        Fault::Shape { what: "a contour has fewer than three vertices", advice: "add vertices to it" };
+                    let what = Fault::Shape {
+                        what: "a contour has fewer than three vertices",
+                        advice: "add vertices to the contour",
+                    };
                     return Err(args.fault_at(i, what));
                 }
                 first = indices.len();
@@ -151,7 +153,7 @@ impl Reader<'_> {
         args.count(4..=4, "v1 radius1 v2 radius2")?;
         let (r1, r2) = (args.number(1, "radius (m)")?, args.number(3, "radius (m)")?);
         if r1 == 0.0 && r2 == 0.0 {
-            return Err(args.range(1, "radius of both ends (m)", 0.0, "different from 0 at one end"));
+            return Err(args.range(1, "radius of both ends (m)", 0.0, "nonzero at one or both ends"));
         }
         if r1 * r2 < 0.0 || (r1 < 0.0) != (r2 < 0.0) && r1 != 0.0 && r2 != 0.0 {
             return Err(args.range(3, "radius of the second end (m)", r2, "of the same sign as the first"));
@@ -192,7 +194,7 @@ impl Reader<'_> {
             Facing::Outward => (r1, r2),
         };
         if outer <= inner {
-            let allowed = "farther from 0 than the inner radius, with its sign";
+            let allowed = "farther from 0 than the inner radius, and of the same sign";
             return Err(args.range(2, "outer radius (m)", r2, allowed));
         }
         let scale = self.frame().scale;
@@ -216,7 +218,7 @@ impl Reader<'_> {
     fn oriented_vertex(&mut self, args: &Args<'_>) -> Result<(DVec3, DVec3)> {
         let vertex = self.transformed_vertex(args, 0)?;
         let fault =
-            Fault::Shape { what: "this vertex has no normal to orient the shape", advice: "give it one by `n x y z`" };
+            Fault::Shape { what: "this vertex has no normal to orient the shape", advice: "add one with `n x y z`" };
         Ok((vertex.position, vertex.normal.ok_or_else(|| args.fault_at(0, fault))?))
     }
 

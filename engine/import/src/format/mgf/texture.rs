@@ -44,7 +44,7 @@ impl Reader<'_> {
         let unreadable = |e: std::io::Error| args.fault_at(0, unreadable(files, path, &e));
         let size = files.size(path).map_err(unreadable)?;
         if size > MAX_FILE {
-            let reason = format!("it has {size} bytes, an image file may have {MAX_FILE}");
+            let reason = format!("the file has {size} bytes; the limit for images is {MAX_FILE} bytes");
             let advice = "make it smaller";
             return Err(args.fault_at(0, Fault::BadFile { path: path.into(), reason, advice }));
         }
@@ -78,7 +78,8 @@ impl Reader<'_> {
         let most = image.pixels.iter().flatten().copied().fold(0.0, f32::max);
         if most > 1.0 {
             let path = image.path.clone();
-            let what = format!("texture has values above 1 (up to {most}): a reflectance factor above 1 is cut to 1");
+            let what =
+                format!("texture has values above 1 (up to {most}): reflectance factors above 1 are clamped to 1");
             self.texture_remark(args, &path, what);
         }
     }

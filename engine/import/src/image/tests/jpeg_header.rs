@@ -74,7 +74,7 @@ fn components_called_r_g_b_are_named() {
         file[jfif] = b'X';
     }
     let said = remarks(&file, Role::Color);
-    assert!(said.len() == 1 && said[0].contains("called R, G and B"), "{said:?}");
+    assert!(said.len() == 1 && said[0].contains("named R, G and B"), "{said:?}");
     assert!(remarks(&file, Role::Normals).is_empty());
 }
 

@@ -103,7 +103,9 @@ fn normal_maps_are_mapped_to_directions_and_not_through_srgb() {
 #[test]
 fn negative_values_are_taken_as_zero_and_infinite_ones_refused() {
     let decoded = decode("t.exr", &exr_bytes((-1.0, 0.5, 0.5)), Role::Color, 0).unwrap();
-    assert!(decoded.remarks == ["image has negative values: taken as 0"] && decoded.image.pixels[0] == [0.0, 0.5, 0.5]);
+    assert!(
+        decoded.remarks == ["image has negative values: treated as 0"] && decoded.image.pixels[0] == [0.0, 0.5, 0.5]
+    );
     assert!(decode("t.exr", &exr_bytes((f32::INFINITY, 0.5, 0.5)), Role::Color, 0).is_err());
 }
 

@@ -79,7 +79,7 @@ fn transfer_functions_of_chunks_are_used_by_their_precedence() {
         (&[(b"cICP", &[9, 6, 0, 1])], bt709, ""),
         (&[(b"cICP", &[12, 14, 0, 1])], bt709, ""),
         (&[(b"cICP", &[1, 15, 0, 1])], bt709, ""),
-        (&[(b"cICP", &[1, 2, 0, 1])], SRGB, "leaves the transfer function open"),
+        (&[(b"cICP", &[1, 2, 0, 1])], SRGB, "does not specify the transfer function"),
         (&[(b"cICP", &[99, 8, 0, 1])], HALF, "primaries 99 of cICP"),
         // Video range: 16 of 256 is black, 235 is white.
         (&[(b"cICP", &[1, 8, 0, 0])], (128.0 - 16.0) / 219.0, ""),
@@ -92,7 +92,7 @@ fn transfer_functions_of_chunks_are_used_by_their_precedence() {
         (&[(b"gAMA", &gamma(0))], SRGB, "gAMA is damaged"),
         (&[(b"gAMA", &[0; 3])], SRGB, "gAMA is damaged"),
         (&[(b"cHRM", &[0; 31])], SRGB, "cHRM is damaged"),
-        (&[(b"cHRM", &[0; 32])], SRGB, "span no colors"),
+        (&[(b"cHRM", &[0; 32])], SRGB, "are degenerate"),
     ];
     for (i, (chunks, wanted, remark)) in rows.iter().enumerate() {
         let (value, remarks) = gray_under(chunks);

@@ -103,5 +103,5 @@ fn a_fault_beside_commas_that_separate_keeps_its_name() {
     let text = "TILT=NONE\n1,-1,1,3,1,1,2,0,0,0\n1,1,20\n0,45,90\n0\n9,x,2\n";
     assert!(error(text).starts_with("lamp.ies:6:3: `x` is not a number"), "{}", error(text));
     let short = "TILT=NONE\n1,-1,1,3,1,1,2,0,0,0\n1,1,20\n0,45,90\n0\n9,5\n";
-    assert!(error(short).contains("it ends where the intensity"), "{}", error(short));
+    assert!(error(short).contains("the file ends before the intensity"), "{}", error(short));
 }

@@ -136,7 +136,10 @@ fn a_file_that_does_not_name_its_edition_well_is_read_with_a_word_or_refused() {
     let mut fields = FIELDS;
     fields[11] = "1.1";
     let error = read(&text("IESNA:LM-63\n", &fields)).unwrap_err().to_string();
-    assert!(error.starts_with("lamp.ies:4:3: ") && error.contains("`IESNA:LM-63` names no edition"), "{error}");
+    assert!(
+        error.starts_with("lamp.ies:4:3: ") && error.contains("`IESNA:LM-63` does not name a known edition"),
+        "{error}"
+    );
 }
 
 #[test]

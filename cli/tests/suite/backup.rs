@@ -90,7 +90,11 @@ fn a_log_that_lost_what_was_acknowledged_is_not_gone_on_with_unless_that_is_said
     let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts";
     for _ in 0..2 {
         let ran = place.run(line).exits(1);
-        assert!(ran.stderr().contains("are gone") && ran.stderr().contains("--accept-loss"), "{}", ran.stderr());
+        assert!(
+            ran.stderr().contains("records are missing") && ran.stderr().contains("--accept-loss"),
+            "{}",
+            ran.stderr()
+        );
     }
     let mut farm = place.start(&format!("{line} --accept-loss"));
     let url = farm.address();

@@ -379,10 +379,10 @@ fn what_cannot_be_asked_is_refused_with_the_place() {
         assert!(said.contains(why), "{rest}: {said}");
     };
     refused("box.paths --where depth", 2, "--where: column 6");
-    refused("box.paths --where colour==2", 2, "column 1: there is no \"colour\"");
+    refused("box.paths --where colour==2", 2, "column 1: unknown name \"colour\"");
     refused("box.paths --object flor", 2, "known objects");
     refused("box.paths --then floor", 2, "--object");
     refused("box.paths --in 1,1,1,0,0,0", 2, "lower corner");
     refused("nothing.paths", 2, "nothing.paths");
-    refused("box.exr", 1, "no light statistics: it begins as something else");
+    refused("box.exr", 1, "invalid light statistics: wrong magic number");
 }

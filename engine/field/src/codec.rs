@@ -84,7 +84,7 @@ pub struct Statistics {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FieldError {
     /// The bytes have another version of the format.
-    #[error("a field of format {found}, not {expected}")]
+    #[error("the field has format {found}, but this program reads format {expected}")]
     Version {
         /// Version of the bytes.
         found: u32,
@@ -92,7 +92,7 @@ pub enum FieldError {
         expected: u32,
     },
     /// The bytes are damaged or not a field.
-    #[error("no field: {0}")]
+    #[error("invalid field: {0}")]
     Corrupt(&'static str),
 }
 
@@ -212,7 +212,7 @@ impl Field {
     pub fn decode(bytes: &[u8]) -> Result<(Self, Statistics), FieldError> {
         let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(CUT)?;
         if prefix[..MAGIC.len()] != MAGIC[..] {
-            return Err(FieldError::Corrupt("it begins as something else"));
+            return Err(FieldError::Corrupt("wrong magic number"));
         }
         let mut front = Front(&prefix[MAGIC.len()..]);
         let found = front.word()?;
@@ -251,8 +251,8 @@ impl Field {
 }
 
 fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
-    const LENGTH: FieldError = FieldError::Corrupt("tables of another length");
-    const DAMAGED: FieldError = FieldError::Corrupt("tables do not decompress");
+    const LENGTH: FieldError = FieldError::Corrupt("the tables have a wrong length");
+    const DAMAGED: FieldError = FieldError::Corrupt("the tables cannot be decompressed");
     if plain > MOST {
         return Err(LENGTH);
     }
@@ -268,7 +268,7 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
     const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
     let instances: Vec<[u32; 1]> = tables.table(instances)?;
     if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
-        return Err(FieldError::Corrupt("primitives of another number"));
+        return Err(FieldError::Corrupt("wrong number of primitives"));
     }
     let primitives: Vec<[u32; 2]> = tables.table(primitives)?;
     if primitives.as_flattened().iter().any(|&surface| surface != NONE && surface >= surfaces) {
@@ -302,7 +302,7 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
                 let values = std::array::from_fn(|at| f32::from_bits(words[at]));
                 let [x_axis, y_axis, z_axis, translation] = vectors::<4, 12>(&std::array::from_fn(|at| words[8 + at]));
                 let pose = Affine3A { matrix3: Mat3A { x_axis, y_axis, z_axis }, translation };
-                Form::Curved { shape: shape(tag, &values).ok_or(FieldError::Corrupt("no such form"))?, pose }
+                Form::Curved { shape: shape(tag, &values).ok_or(FieldError::Corrupt("unknown shape"))?, pose }
             }
         };
         surfaces.push(Surface { instance, primitives: [first, last], material, side, form });
@@ -316,7 +316,7 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
             1 => Split::Half(0),
             2 => Split::Half(1),
             3 => Split::Bisection,
-            _ => return Err(FieldError::Corrupt("no such split")),
+            _ => return Err(FieldError::Corrupt("unknown kind of split")),
         };
         let is_sound = if split == Split::None { next < leaves } else { is_below(index, next, cells) };
         if !is_sound {
@@ -327,7 +327,7 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
         all.push(Cell { outline, split, next });
     }
     if guides != 0 && guides != leaves {
-        return Err(FieldError::Corrupt("guides of another number"));
+        return Err(FieldError::Corrupt("wrong number of guides"));
     }
     let leaves = read_leaves(&mut tables, leaves)?;
     let fog = read_fog(&mut tables, roots_of_fog, boxes)?;
@@ -350,10 +350,10 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
         lobe.target.is_finite() && lobe.axes.iter().all(is_axis) && (0.0..f32::INFINITY).contains(&lobe.share)
     };
     if !lobes.iter().all(is_sound) {
-        return Err(FieldError::Corrupt("a lobe that is none"));
+        return Err(FieldError::Corrupt("invalid lobe"));
     }
     if !tables.0.is_empty() {
-        return Err(FieldError::Corrupt("more than its tables"));
+        return Err(FieldError::Corrupt("extra bytes follow the tables"));
     }
     let guides = Guides::new(guides, lobes, &all, &leaves);
     Ok(Field { surfaces, roots, leaves, guides, cells: all, sides, fog })
@@ -377,11 +377,11 @@ fn read_leaves(tables: &mut Tables<'_>, leaves: u32) -> Result<Vec<Leaf>, FieldE
         2 => curved.next().map(|words| Leaf::Curved(Harmonics(vectors(&words)))),
         _ => None,
     };
-    kinds.iter().map(leaf).collect::<Option<_>>().ok_or(FieldError::Corrupt("no such leaf"))
+    kinds.iter().map(leaf).collect::<Option<_>>().ok_or(FieldError::Corrupt("unknown kind of leaf"))
 }
 
 fn read_fog(tables: &mut Tables<'_>, roots: u32, boxes: u32) -> Result<FogTree, FieldError> {
-    const NONE: FieldError = FieldError::Corrupt("boxes of fog that are none");
+    const NONE: FieldError = FieldError::Corrupt("invalid boxes of fog");
     if roots != u32::from(boxes > 0) {
         return Err(NONE);
     }

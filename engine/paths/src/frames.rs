@@ -118,7 +118,7 @@ impl Frames {
         let (front, mut rest) = bytes.split_first_chunk::<16>().ok_or(CUT)?;
         let [magic @ .., a, b, c, d, e, f, g, h] = *front;
         if magic != *MAGIC {
-            return Err(PathsError::Corrupt("it begins as something else"));
+            return Err(PathsError::Corrupt("wrong magic number"));
         }
         let (found, count) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
         if found != VERSION {
@@ -133,13 +133,13 @@ impl Frames {
             let it = Statistics::decode(own)?;
             let key = (it.scope.seed, it.scope.frame);
             if frames.by_key.last_key_value().is_some_and(|(last, _)| *last >= key) {
-                return Err(PathsError::Corrupt("frames out of order"));
+                return Err(PathsError::Corrupt("frames are out of order"));
             }
             frames.by_key.insert(key, it);
         }
         // The union of already united frames changes nothing.
-        let united = Self::of(frames.frames().cloned()).map_err(|_| PathsError::Corrupt("frames without a union"))?;
+        let united = Self::of(frames.frames().cloned()).map_err(|_| PathsError::Corrupt("frames cannot be united"))?;
         let is_whole = rest.is_empty() && united == frames;
-        if is_whole { Ok(frames) } else { Err(PathsError::Corrupt("frames that are not united")) }
+        if is_whole { Ok(frames) } else { Err(PathsError::Corrupt("frames are not united")) }
     }
 }

@@ -90,7 +90,7 @@ impl Voxel {
 
 /// Error: trees with different roots cannot be combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("octrees of different roots")]
+#[error("the octrees have different roots")]
 pub struct RootMismatch;
 
 /// Energy of intersections by bounce and position.

@@ -139,7 +139,7 @@ pub enum Word {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum QueryError {
     /// Unexpected text.
-    #[error("column {column}: {found:?} where {expected} is expected")]
+    #[error("column {column}: found {found:?}, expected {expected}")]
     Expected {
         /// Column in the text, from 1.
         column: usize,
@@ -149,7 +149,7 @@ pub enum QueryError {
         expected: &'static str,
     },
     /// Unknown name.
-    #[error("column {column}: there is no {name:?}; known are {}", KNOWN.join(", "))]
+    #[error("column {column}: unknown name {name:?}; known names: {}", KNOWN.join(", "))]
     Name {
         /// Column in the text, from 1.
         column: usize,
@@ -157,7 +157,7 @@ pub enum QueryError {
         name: String,
     },
     /// Unknown word.
-    #[error("column {column}: {name} is never {word:?}; it is one of {}", .words.join(", "))]
+    #[error("column {column}: {name} cannot be {word:?}; it is one of {}", .words.join(", "))]
     NoWord {
         /// Column in the text, from 1.
         column: usize,
@@ -169,7 +169,7 @@ pub enum QueryError {
         words: Vec<&'static str>,
     },
     /// Conditions are nested too deep.
-    #[error("more than {MOST_DEPTH} conditions within each other")]
+    #[error("more than {MOST_DEPTH} nested conditions")]
     TooDeep,
     /// The condition is too long.
     #[error("more than {MOST_TOKENS} words and signs")]

@@ -248,13 +248,13 @@ fn sum(counts: &[u64]) -> u64 {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UnionError {
     /// The parts differ in frame, film, box or size.
-    #[error("statistics of different frames or settings")]
+    #[error("the statistics belong to different frames or settings")]
     Scope,
     /// The parts contain the same samples in different portions.
-    #[error("samples {} to {} of half {} of tile {} are there in two portions", .0.begin, .0.end, .0.half, .0.tile)]
+    #[error("samples {} to {} of half {} of tile {} are in two portions", .0.begin, .0.end, .0.half, .0.tile)]
     Overlap(PortionKey),
     /// A portion arrived twice with different counts.
-    #[error("samples {} to {} of half {} of tile {} were counted differently", .0.begin, .0.end, .0.half, .0.tile)]
+    #[error("samples {} to {} of half {} of tile {} have two different counts", .0.begin, .0.end, .0.half, .0.tile)]
     Unlike(PortionKey),
 }
 

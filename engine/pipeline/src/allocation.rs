@@ -18,10 +18,10 @@ pub struct Allocation {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AllocationError {
     /// A tile has no samples, or too many.
-    #[error("an allocation of samples gives some tile none, or more than {MAX_SPP}")]
+    #[error("invalid allocation of samples: a tile has no samples, or more than {MAX_SPP}")]
     Samples,
     /// The film has another number of tiles.
-    #[error("the allocation of samples is of {found} tiles; the film has {expected}")]
+    #[error("the allocation of samples has {found} tiles, but the film has {expected}")]
     Tiles {
         /// Number of tiles of the allocation.
         found: usize,

@@ -96,10 +96,10 @@ pub enum ChoiceError {
 pub fn choose(source: &Source, settings: &Settings, plan: &Plan) -> Result<Choice, ChoiceError> {
     let paths = |reason: &str| Choice { method: Method::Pt, reason: reason.to_owned(), pilot: None };
     if matches!(settings.stop, Stop::Time(_)) {
-        return Ok(paths("a frame by the clock is rendered from its first second on"));
+        return Ok(paths("a frame with a time limit has no first pass, because its samples start at once"));
     }
     let Some(found) = pilot(source, settings, plan)? else {
-        return Ok(paths("the job is small, and path tracing does it before a first pass were solved"));
+        return Ok(paths("the job is small, and path tracing finishes it before a first pass would be solved"));
     };
     let (method, reason) = found.choice();
     Ok(Choice { method, reason, pilot: Some(found) })
@@ -127,7 +127,8 @@ impl Pilot {
             None if self.most_gain < BOUND => (
                 Method::Pt,
                 format!(
-                    "light that has left a diffuse surface makes {bounced:.0} % of the noise, and no guide could lessen the rest"
+                    "only {bounced:.0} % of the noise comes from light that has left a diffuse surface, and \
+                     guides cannot reduce the rest"
                 ),
             ),
             None => (
@@ -141,8 +142,8 @@ impl Pilot {
                 (
                     method,
                     format!(
-                        "a first pass takes about {work:.1} % of the work of path tracing, and by a pilot samples that it guides \
-                         have 1 / {gain:.2} of the variance for their work{verdict}"
+                        "a first pass takes about {work:.1} % of the work of path tracing, and in a pilot, samples with guides have \
+                         1 / {gain:.2} of the variance for equal work{verdict}"
                     ),
                 )
             }

@@ -110,5 +110,5 @@ pub fn light(prepared: &mut Prepared, field: Arc<Field>) -> Result<(), OtherWorl
 
 /// Error: a field does not match a frame's surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the light of the first pass is of other surfaces than the frame's")]
+#[error("the light of the first pass belongs to other surfaces than the frame's")]
 pub struct OtherWorld;

@@ -52,7 +52,7 @@ pub enum PlanError {
     #[error(transparent)]
     Film(#[from] FilmError),
     /// A frame is outside the clip.
-    #[error("frame {frame} is outside of the clip, which has frames 1 to {last}")]
+    #[error("frame {frame} is outside the clip, which has frames 1 to {last}")]
     FrameOutside {
         /// Requested frame.
         frame: u32,
@@ -112,7 +112,7 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
         Method::Femc => Vec::new(),
         Method::Auto | Method::Pt => vec![left_out(
             FIRST_PASS,
-            "path tracing does without; `--method femc` guides paths by its solution, `--method fem` renders that",
+            "path tracing does not use it; `--method femc` guides paths with its solution, `--method fem` renders its solution",
         )],
     };
     let spared = scene.spared(camera).into_iter();

@@ -118,16 +118,14 @@ pub enum SettingsError {
     },
     /// Elements have no path lengths.
     #[error(
-        "a longest path (`max-depth` {0}) cannot be asked of the method `fem`, whose light has come any number of ways; use `pt`"
+        "the method `fem` does not support `max-depth` {0}: the light of its elements has no path lengths; use `pt`"
     )]
     DepthOfElements(u32),
     /// Invalid layers.
     #[error(transparent)]
     Layers(#[from] LayerError),
     /// The light of elements has no paths.
-    #[error(
-        "layers cannot be had of the method `fem`, whose light has come by ways that are not known; use `pt` or `femc`"
-    )]
+    #[error("the method `fem` does not support layers: the paths of its light are not known; use `pt` or `femc`")]
     LayersOfElements,
     /// Invalid allocation of samples.
     #[error(transparent)]

@@ -14,7 +14,7 @@ const MOST: u64 = 1 << 33;
 
 /// Error: the bytes are not the output of a step of a first pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("what a step of the first pass has made is damaged: {0}")]
+#[error("the output of a first-pass step is damaged: {0}")]
 pub struct Damaged(pub &'static str);
 
 /// Writer of columns.
@@ -67,11 +67,12 @@ pub struct Reader {
 
 impl Reader {
     pub fn new(bytes: &[u8], what: &[u8; 8]) -> Result<Self, Damaged> {
-        let decoder = zstd::stream::read::Decoder::with_buffer(bytes).map_err(|_| Damaged("its columns"))?;
+        let decoder = zstd::stream::read::Decoder::with_buffer(bytes)
+            .map_err(|_| Damaged("its columns cannot be decompressed"))?;
         let mut all = Vec::new();
-        decoder.take(MOST).read_to_end(&mut all).map_err(|_| Damaged("its columns"))?;
+        decoder.take(MOST).read_to_end(&mut all).map_err(|_| Damaged("its columns cannot be decompressed"))?;
         if !all.starts_with(what) {
-            return Err(Damaged("it is something else, or of another version"));
+            return Err(Damaged("it has another kind or version"));
         }
         Ok(Self { bytes: all, at: what.len() })
     }
@@ -118,7 +119,7 @@ impl Reader {
 
     /// Checks that nothing follows.
     pub fn end(self) -> Result<(), Damaged> {
-        if self.at == self.bytes.len() { Ok(()) } else { Err(Damaged("something follows its end")) }
+        if self.at == self.bytes.len() { Ok(()) } else { Err(Damaged("extra bytes follow its end")) }
     }
 }
 

@@ -263,7 +263,7 @@ pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, Damaged> {
     (0..count).map(read).collect()
 }
 
-const WRONG: Damaged = Damaged("a portal's numbers");
+const WRONG: Damaged = Damaged("a portal has invalid numbers");
 
 /// Selects at most [`WAYS`] lines that represent all. None weighs more than a hundredth of the total.
 fn standing_for(lines: &[Line]) -> Vec<Line> {

@@ -283,7 +283,7 @@ fn mark(links: &[Link]) -> u64 {
     links.iter().fold(links.len() as u64, |mark, link| mix64(mark ^ of(link)))
 }
 
-const OTHERS: Damaged = Damaged("it is of other elements");
+const OTHERS: Damaged = Damaged("it belongs to other elements");
 
 impl Aimed {
     /// Casts the rays of block `block` of `blocks` blocks.
@@ -409,7 +409,7 @@ impl Found {
         let is_whole =
             counts.len() == sizes.len() && whole(&counts) == number as u64 && whole(&sizes) == leaves.len() as u64;
         if !is_whole {
-            return Err(Damaged("its number of leaves or lobes"));
+            return Err(Damaged("its number of leaves or lobes is wrong"));
         }
         let lobe =
             |row: [f32; 10]| Lobe { target: place(&row), axes: [place(&row[3..]), place(&row[6..])], share: row[9] };

@@ -19,7 +19,7 @@ const MOST_LEFT: f32 = 0.05;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Untrusted {
     /// The light does not converge.
-    #[error("its light does not come to rest: after {iterations} iterations the residual is {residual}")]
+    #[error("its light does not converge: after {iterations} iterations the residual is {residual}")]
     Restless {
         /// Number of iterations.
         iterations: usize,
@@ -27,7 +27,7 @@ pub enum Untrusted {
         residual: f32,
     },
     /// Surfaces absorb more light than is sent.
-    #[error("surfaces keep {ratio:.4} times the light that lamps send")]
+    #[error("surfaces absorb {ratio:.4} times the light that lamps emit")]
     Gains {
         /// Flux that surfaces absorb, divided by the flux of all light sources.
         ratio: f64,

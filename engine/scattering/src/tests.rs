@@ -344,7 +344,7 @@ fn smooth_glass_obeys_snell_and_rough_glass_tends_to_it() {
             assert_eq!(through.transmitted, Transmitted::No, "total internal reflection");
         }
         if wo.z.abs() > 0.2 && (f - 1.0).abs() > 1e-3 {
-            let near = rough.sample(wo, [0.2, 0.6], 0.999_999).expect("a facet is met");
+            let near = rough.sample(wo, [0.2, 0.6], 0.999_999).expect("the ray hits a facet");
             assert!((near.wi - through.wi).length() < 0.02, "{wo}: {near:?} {through:?}");
         }
     }

@@ -22,10 +22,10 @@ pub fn process(page: &mut Page) {
         page.gauge("process_open_fds", "Open file descriptors.").counts(files.count() as u64);
     }
     if let Some(most) = most_files() {
-        page.gauge("process_max_fds", "Most open file descriptors.").counts(most);
+        page.gauge("process_max_fds", "Maximum number of open file descriptors.").counts(most);
     }
     let since_1970 = start().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    let help = "Start of the process, in seconds since 1970.";
+    let help = "Start time of the process, in seconds since 1970.";
     page.gauge("process_start_time_seconds", help).is(since_1970.as_secs_f64());
 }
 

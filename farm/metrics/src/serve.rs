@@ -75,7 +75,7 @@ where
                 });
             }
             Err(error) => {
-                tracing::warn!(%error, "a connection for metrics was not taken");
+                tracing::warn!(%error, "cannot accept a connection for metrics");
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
         }
@@ -97,7 +97,7 @@ where
         .serve_connection(TokioIo::new(stream), service)
         .await;
     if let Err(error) = served {
-        tracing::debug!(%error, "a connection for metrics broke");
+        tracing::debug!(%error, "a connection for metrics failed");
     }
 }
 
@@ -106,7 +106,7 @@ where
     R: Future<Output = Report>,
 {
     if !matches!(*method, Method::GET | Method::HEAD) {
-        return text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD\n".into());
+        return text(StatusCode::METHOD_NOT_ALLOWED, "use GET or HEAD\n".into());
     }
     match path {
         "/metrics" => {
@@ -129,7 +129,7 @@ where
                 text(StatusCode::SERVICE_UNAVAILABLE, format!("not ready: {message}\n"))
             }
         },
-        _ => text(StatusCode::NOT_FOUND, "there are /metrics, /healthz and /readyz\n".into()),
+        _ => text(StatusCode::NOT_FOUND, "unknown path: use /metrics, /healthz or /readyz\n".into()),
     }
 }
 

@@ -19,22 +19,22 @@ impl Samples {
     /// do not shrink, and the last one equals its count.
     pub fn read(page: &str) -> Result<Self, String> {
         let (mut samples, mut helped, mut current) = (Self::default(), BTreeSet::new(), String::new());
-        for line in page.strip_suffix('\n').ok_or("the last line does not end")?.lines() {
+        for line in page.strip_suffix('\n').ok_or("the last line has no line break")?.lines() {
             let wrong = |what: &str| format!("{what}: {line}");
             if let Some(rest) = line.strip_prefix("# HELP ") {
-                let (name, help) = rest.split_once(' ').ok_or_else(|| wrong("no help"))?;
+                let (name, help) = rest.split_once(' ').ok_or_else(|| wrong("the help text is missing"))?;
                 if help.trim().is_empty() || !helped.insert(name.to_owned()) {
-                    return Err(wrong("no help, or twice"));
+                    return Err(wrong("the help text is empty or repeated"));
                 }
             } else if let Some(rest) = line.strip_prefix("# TYPE ") {
-                let (name, kind) = rest.split_once(' ').ok_or_else(|| wrong("no kind"))?;
+                let (name, kind) = rest.split_once(' ').ok_or_else(|| wrong("the kind is missing"))?;
                 let is_known = matches!(kind, "gauge" | "counter" | "histogram");
                 if !is_known || (kind == "counter") != name.ends_with("_total") || !helped.contains(name) {
-                    return Err(wrong("a kind that does not fit"));
+                    return Err(wrong("the kind is unknown, does not match the name, or has no help text"));
                 }
                 current = name.to_owned();
                 if samples.kinds.insert(current.clone(), kind.to_owned()).is_some() {
-                    return Err(wrong("twice"));
+                    return Err(wrong("the kind is repeated"));
                 }
             } else {
                 samples.take(line, &current).map_err(|what| wrong(&what))?;
@@ -45,27 +45,29 @@ impl Samples {
     }
 
     fn take(&mut self, line: &str, family: &str) -> Result<(), String> {
-        let (series, value) = line.rsplit_once(' ').ok_or("no value")?;
+        let (series, value) = line.rsplit_once(' ').ok_or("the value is missing")?;
         let (name, labels) = match series.split_once('{') {
             None => (series, Labels::new()),
-            Some((name, labels)) => (name, labels_of(labels.strip_suffix('}').ok_or("no end of labels")?)?),
+            Some((name, labels)) => {
+                (name, labels_of(labels.strip_suffix('}').ok_or("the labels have no closing brace")?)?)
+            }
         };
-        let kind = self.kinds.get(family).ok_or("no kind before it")?;
+        let kind = self.kinds.get(family).ok_or("no kind precedes it")?;
         let of_histogram = ["_bucket", "_sum", "_count"].iter().any(|end| name.strip_suffix(end) == Some(family));
         if (kind == "histogram" && !of_histogram) || (kind != "histogram" && name != family) {
-            return Err(format!("not of {family}"));
+            return Err(format!("the name does not belong to {family}"));
         }
         let value: f64 = match value {
             "+Inf" => f64::INFINITY,
-            "inf" | "-inf" | "infinity" => return Err("no number".into()),
-            other => other.parse().map_err(|_| "no number".to_owned())?,
+            "inf" | "-inf" | "infinity" => return Err("the value is not a number".into()),
+            other => other.parse().map_err(|_| "the value is not a number".to_owned())?,
         };
         if kind == "counter" && !(value >= 0.0 && value.is_finite()) {
-            return Err("a counter that does not count".into());
+            return Err("the counter is negative or not finite".into());
         }
         match self.values.insert((name.to_owned(), labels), value) {
             None => Ok(()),
-            Some(_) => Err("twice".into()),
+            Some(_) => Err("the series is repeated".into()),
         }
     }
 
@@ -75,22 +77,23 @@ impl Samples {
         for ((name, labels), &count) in &self.values {
             let Some(family) = name.strip_suffix("_bucket") else { continue };
             let mut labels = labels.clone();
-            let bound = labels.remove("le").ok_or_else(|| format!("a bucket of {family} without a bound"))?;
-            let bound = if bound == "+Inf" { f64::INFINITY } else { bound.parse().map_err(|_| "no bound")? };
+            let bound = labels.remove("le").ok_or_else(|| format!("a bucket of {family} has no bound"))?;
+            let bound =
+                if bound == "+Inf" { f64::INFINITY } else { bound.parse().map_err(|_| "the bound is not a number")? };
             buckets.push((family.to_owned(), labels, bound, count));
         }
         buckets.sort_by(|a, b| (&a.0, &a.1).cmp(&(&b.0, &b.1)).then(a.2.total_cmp(&b.2)));
         for (family, labels, bound, count) in buckets {
             let key = (family, labels);
             if last.get(&key).is_some_and(|(_, before)| *before > count) {
-                return Err(format!("buckets of {} shrink", key.0));
+                return Err(format!("the buckets of {} decrease", key.0));
             }
             last.insert(key, (bound, count));
         }
         for ((family, labels), (bound, count)) in last {
             let total = self.values.get(&(format!("{family}_count"), labels.clone()));
             if bound != f64::INFINITY || total != Some(&count) {
-                return Err(format!("the last bucket of {family}{labels:?} is not its count"));
+                return Err(format!("the last bucket of {family}{labels:?} does not equal its count"));
             }
         }
         Ok(())
@@ -117,32 +120,32 @@ impl Samples {
 fn labels_of(text: &str) -> Result<Labels, String> {
     let (mut labels, mut rest) = (Labels::new(), text);
     while !rest.is_empty() {
-        let (name, after) = rest.split_once("=\"").ok_or("a label without a value")?;
+        let (name, after) = rest.split_once("=\"").ok_or("a label has no value")?;
         let is_name = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if name.is_empty() || !name.chars().all(is_name) || name.starts_with(|c: char| c.is_ascii_digit()) {
-            return Err(format!("`{name}` is no label"));
+            return Err(format!("invalid label name `{name}`"));
         }
         let (mut value, mut chars) = (String::new(), after.char_indices());
         let end = loop {
-            match chars.next().ok_or("a value without an end")? {
+            match chars.next().ok_or("a value has no closing quotation mark")? {
                 (at, '"') => break at + 1,
                 (_, '\\') => value.push(match chars.next().map(|(_, c)| c) {
                     Some('n') => '\n',
                     Some(c @ ('\\' | '"')) => c,
-                    _ => return Err("an escape that is none".into()),
+                    _ => return Err("unknown escape sequence in a value".into()),
                 }),
                 (_, c) => value.push(c),
             }
         };
         if labels.insert(name.to_owned(), value).is_some() {
-            return Err(format!("the label {name} twice"));
+            return Err(format!("the label {name} occurs twice"));
         }
         rest = &after[end..];
         rest = match rest.strip_prefix(',') {
-            Some("") => return Err("a comma at the end".into()),
+            Some("") => return Err("a comma follows the last label".into()),
             Some(more) => more,
             None if rest.is_empty() => rest,
-            None => return Err("no comma between labels".into()),
+            None => return Err("a comma between labels is missing".into()),
         };
     }
     Ok(labels)

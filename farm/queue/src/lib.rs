@@ -200,7 +200,10 @@ fn no_room(error: &io::Error) -> bool {
 #[derive(Debug, thiserror::Error)]
 pub enum QueueError {
     /// The file is not a log of this program, or has another version.
-    #[error("{path} is not a femc log of version {}: application {application:#x}, version {version}", Sqlite::VERSION)]
+    #[error(
+        "{path} is not a femc log of version {}: found application id {application:#x}, version {version}",
+        Sqlite::VERSION
+    )]
     Foreign {
         /// Path of the file.
         path: String,
@@ -216,7 +219,7 @@ pub enum QueueError {
         path: String,
     },
     /// A record is damaged or missing: the records after it cannot be used.
-    #[error("record {sequence} of the log is damaged or gone, and {after} sound ones follow it")]
+    #[error("record {sequence} of the log is damaged or missing, and {after} valid records follow it")]
     Damaged {
         /// Number of the record.
         sequence: i64,
@@ -227,7 +230,7 @@ pub enum QueueError {
     #[error("the log's snapshot is damaged")]
     DamagedSnapshot,
     /// Durable records are missing at the end.
-    #[error("{path} ends with record {kept}, but record {known} was durable: {} are gone", known - kept)]
+    #[error("{path} ends with record {kept}, but record {known} was durable: {} records are missing", known - kept)]
     Lost {
         /// Path of the file.
         path: String,
@@ -237,7 +240,7 @@ pub enum QueueError {
         known: i64,
     },
     /// Durable records may be missing; this cannot be determined.
-    #[error("whether all that was durable is in {path} cannot be told: {why}")]
+    #[error("cannot check that {path} contains all durable records: {why}")]
     Unsure {
         /// Path of the file.
         path: String,
@@ -253,7 +256,7 @@ pub enum QueueError {
         message: String,
     },
     /// A log of this kind must be copied with other tools.
-    #[error("this log is not copied by the coordinator: {instead}")]
+    #[error("the coordinator cannot copy this log: {instead}")]
     NoCopy {
         /// Tool or command that copies this kind of log.
         instead: &'static str,
@@ -262,13 +265,13 @@ pub enum QueueError {
     #[error("log: {0}")]
     Medium(#[from] io::Error),
     /// The address of the database is invalid.
-    #[error("this is no address of a PostgreSQL database: {message}")]
+    #[error("invalid address of a PostgreSQL database: {message}")]
     Address {
         /// Description of the problem.
         message: String,
     },
     /// The database does not answer, or the connection broke. It may be available again later.
-    #[error("the database {database} cannot be reached: {message}")]
+    #[error("cannot reach the database {database}: {message}")]
     Away {
         /// Host and name of the database.
         database: String,
@@ -276,7 +279,7 @@ pub enum QueueError {
         message: String,
     },
     /// The database rejects this user, or denies a necessary permission.
-    #[error("the database {database} refuses: {message}")]
+    #[error("cannot use the database {database}: {message}")]
     Rejected {
         /// Host and name of the database.
         database: String,
@@ -285,7 +288,7 @@ pub enum QueueError {
     },
     /// The schema `femc` of the database is not a log of this program, or has another version.
     #[error(
-        "the schema femc of the database {database} is not a femc log of version {}: version {}",
+        "the schema femc of the database {database} is not a femc log of version {}: found version {}",
         Postgres::VERSION,
         found.as_deref().unwrap_or("unknown")
     )]
@@ -296,7 +299,7 @@ pub enum QueueError {
         found: Option<String>,
     },
     /// Another coordinator leads: nothing was written.
-    #[error("another coordinator leads; leadership {epoch} of this one is over")]
+    #[error("another coordinator leads; the leadership of this coordinator (epoch {epoch}) has ended")]
     Deposed {
         /// Epoch of the leadership that is over.
         epoch: i64,

@@ -53,7 +53,7 @@ impl Scratch {
     }
 
     async fn on_server(&self, sql: &str) {
-        let mut server = self.server.connect().await.expect("the server lets us in");
+        let mut server = self.server.connect().await.expect("the server accepts the connection");
         run(&mut server, sql).await;
     }
 
@@ -62,7 +62,7 @@ impl Scratch {
     /// # Panics
     /// If the server refuses.
     pub async fn tamper(&self, sql: &str) {
-        let mut connection = self.options().connect().await.expect("the server lets us in");
+        let mut connection = self.options().connect().await.expect("the server accepts the connection");
         run(&mut connection, sql).await;
     }
 
@@ -71,7 +71,7 @@ impl Scratch {
     /// # Panics
     /// If the query fails.
     pub async fn number(&self, sql: &str) -> i64 {
-        let mut connection = self.options().connect().await.expect("the server lets us in");
+        let mut connection = self.options().connect().await.expect("the server accepts the connection");
         sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut connection).await.expect("a number")
     }
 }
@@ -85,7 +85,7 @@ impl Scratch {
         if self.number("SELECT count(*) FROM pg_tables WHERE schemaname = 'femc' AND tablename = 'log'").await == 0 {
             return None;
         }
-        let mut connection = self.options().connect().await.expect("the server lets us in");
+        let mut connection = self.options().connect().await.expect("the server accepts the connection");
         Some(postgres::look(&mut connection).await.expect("a sound log"))
     }
 }
@@ -101,7 +101,7 @@ async fn run(connection: &mut PgConnection, sql: &str) {
 /// If the server refuses.
 pub async fn hold(url: &str, table: &str, release: Arc<Notify>) {
     let options: PgConnectOptions = url.parse().expect("an address");
-    let mut connection = options.connect().await.expect("the server lets us in");
+    let mut connection = options.connect().await.expect("the server accepts the connection");
     run(&mut connection, &format!("BEGIN; LOCK TABLE {table} IN ACCESS EXCLUSIVE MODE")).await;
     release.notified().await;
     run(&mut connection, "COMMIT").await;

@@ -118,7 +118,7 @@ impl Scheduler {
     pub(crate) fn note_build(&mut self, job: JobId, frame: u32, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
         debug_assert!(
             !is_of_other_build(&self.ledger, &self.table, job, frame, worker),
-            "a frame of two builds: {job}/{frame}"
+            "a result from another build of the engine: {job}/{frame}"
         );
         if !job.is_shared()
             && self.ledger.side.build_of(job, frame).is_none()

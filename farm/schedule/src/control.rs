@@ -18,7 +18,10 @@ impl Scheduler {
     ) -> Result<Answer, Refusal> {
         spec.check().map_err(|error| Refusal::Invalid { field: "job".into(), message: error.to_string() })?;
         if key.as_ref().is_some_and(|key| key.len() > JobSpec::MAX_NAME) {
-            return Err(Refusal::TooLarge { what: "bytes of a key".into(), limit: JobSpec::MAX_NAME as u64 });
+            return Err(Refusal::TooLarge {
+                what: "length of the key in bytes".into(),
+                limit: JobSpec::MAX_NAME as u64,
+            });
         }
         if let Some(job) = key.as_deref().and_then(|key| self.ledger.job_of_key(key)) {
             return Ok(Answer::Submitted(job));
@@ -78,7 +81,7 @@ impl Scheduler {
             Control::Resume => job.hold != Hold::Free,
             Control::Cancel => true,
             Control::RetryFrames(_) if job.is_over() => {
-                let message = format!("job {id} was cancelled or has failed as a whole: retry all of it");
+                let message = format!("job {id} was cancelled or has failed as a whole: retry the whole job");
                 return Err(Refusal::Invalid { field: "frames".into(), message });
             }
             Control::Retry => job.has_ended() || has_trouble,
@@ -148,10 +151,10 @@ fn retried(job: &Job, mut frames: Vec<u32>) -> Result<Vec<u32>, Refusal> {
     frames.sort_unstable();
     frames.dedup();
     if frames.is_empty() {
-        return Err(invalid("at least one is wanted".to_owned()));
+        return Err(invalid("give at least one frame".to_owned()));
     }
     match frames.iter().find(|frame| job.frames().binary_search(frame).is_err()) {
-        Some(frame) => Err(invalid(format!("frame {frame} is none of the job's"))),
+        Some(frame) => Err(invalid(format!("the job has no frame {frame}"))),
         None => Ok(frames),
     }
 }

@@ -180,7 +180,7 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         let Some((work, units)) = self.work(&task, run, worker, now) else {
-            debug_assert!(false, "a task that is not there was picked: {task}");
+            debug_assert!(false, "the picked task does not exist: {task}");
             return;
         };
         let epoch = self.next_epoch();

@@ -260,7 +260,7 @@ impl LeaseTable {
             locality: Locality::default(),
         };
         let before = self.workers.insert(worker, fresh);
-        debug_assert!(before.is_none(), "a session that there is already");
+        debug_assert!(before.is_none(), "the session exists already");
         for spare in &mut self.spare {
             spare.insert((0, worker));
         }

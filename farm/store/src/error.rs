@@ -12,7 +12,7 @@ pub enum StoreError {
         digest: Digest,
     },
     /// The bytes do not match the announced digest.
-    #[error("the bytes are those of {found}, not of {announced}")]
+    #[error("the digest of the bytes is {found}, not the announced {announced}")]
     Mismatch {
         /// The announced digest.
         announced: Digest,
@@ -20,19 +20,19 @@ pub enum StoreError {
         found: Digest,
     },
     /// The stored artifact was damaged, and so were its replacements.
-    #[error("what the store keeps as {digest} is damaged, again and again")]
+    #[error("the stored artifact {digest} is damaged, and so were its replacements")]
     Unsound {
         /// Digest of the artifact.
         digest: Digest,
     },
     /// The artifact exceeds the store's size limit.
-    #[error("an artifact of more than {limit} bytes")]
+    #[error("the artifact exceeds the limit of {limit} bytes")]
     TooLarge {
         /// Size limit in bytes.
         limit: u64,
     },
     /// The address of the store is invalid.
-    #[error("{url} is no address of an artifact store: {message}; write it like s3://bucket/prefix")]
+    #[error("{url} is not the address of an artifact store: {message}; write it like s3://bucket/prefix")]
     Url {
         /// Address of the store.
         url: String,

@@ -160,7 +160,7 @@ fn keep(book: &Mutex<Book>, closed: &Receiver<()>) {
         };
         // The lock is released before the sync, so that writers do not wait for the disk.
         if let Some(Err(error)) = file.map(|file| file.and_then(|file| file.sync_data())) {
-            tracing::error!(%error, "the audit record does not reach the disk");
+            tracing::error!(%error, "cannot sync the audit record to the disk");
         }
         if is_over {
             return;
@@ -194,7 +194,7 @@ impl Book {
     fn write(&mut self, event: &AuditEvent, times: Option<u64>) {
         if let Err(error) = self.try_write(event, times) {
             // The action has already happened, so it must at least appear in this log.
-            tracing::error!(%error, ?event, "the audit record cannot be written");
+            tracing::error!(%error, ?event, "cannot write the audit record");
         }
     }
 

@@ -110,7 +110,7 @@ impl Authority {
         let certificates = CertificateDer::pem_slice_iter(text.as_bytes()).collect::<Result<Vec<_>, _>>();
         match certificates.as_deref() {
             Ok([_]) if !text.contains("PRIVATE KEY") => Ok(text),
-            Ok(_) => Err(TrustError::Malformed { path, message: "it is not one certificate alone".into() }),
+            Ok(_) => Err(TrustError::Malformed { path, message: "expected one certificate and nothing else".into() }),
             Err(error) => Err(TrustError::Malformed { path, message: error.to_string() }),
         }
     }
@@ -149,7 +149,9 @@ impl Authority {
     pub fn token(&self, holder: Holder, days: u32) -> Result<Pass, TrustError> {
         holder.check()?;
         if let Holder::Coordinator { .. } = holder {
-            return Err(TrustError::Holder { message: format!("{holder}: only users and workers have tokens") });
+            return Err(TrustError::Holder {
+                message: format!("{holder} cannot have a token; only users and workers have tokens"),
+            });
         }
         let token = Token::random()?;
         let line = TokenLine { holder, digest: token.digest(), until: Some(until::after_days(days)) };

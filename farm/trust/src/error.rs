@@ -12,7 +12,7 @@ pub enum TrustError {
         error: std::io::Error,
     },
     /// The file exists already and is not changed.
-    #[error("{} is there already, and is left as it is", path.display())]
+    #[error("{} already exists and was not changed", path.display())]
     Exists {
         /// Path of the file or folder.
         path: PathBuf,
@@ -26,7 +26,7 @@ pub enum TrustError {
         message: String,
     },
     /// Other users of this machine can read a private key or a token.
-    #[error("{} is secret and other users can read it (mode {mode:o}); chmod 600 it", path.display())]
+    #[error("{} is secret, but other users can read it (mode {mode:o}); run `chmod 600` on it", path.display())]
     Readable {
         /// Path of the file or folder.
         path: PathBuf,
@@ -34,7 +34,7 @@ pub enum TrustError {
         mode: u32,
     },
     /// The name cannot be used in a certificate.
-    #[error("`{name}` is no name: 1 to 64 letters, digits, and . _ -")]
+    #[error("invalid name `{name}`: use 1 to 64 letters, digits, and . _ -")]
     Name {
         /// The given name.
         name: String,
@@ -46,13 +46,13 @@ pub enum TrustError {
         name: String,
     },
     /// The certificate does not name a valid holder, or a token was requested for a coordinator.
-    #[error("the certificate does not say whose it is: {message}")]
+    #[error("invalid holder: {message}")]
     Holder {
         /// Description of the problem.
         message: String,
     },
     /// The system's random number generator fails.
-    #[error("no randomness: {message}")]
+    #[error("cannot get random numbers: {message}")]
     Random {
         /// Error of the operating system.
         message: String,

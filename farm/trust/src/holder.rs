@@ -44,7 +44,7 @@ impl FromStr for Role {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let role = Self::ALL.into_iter().find(|role| role.name() == text);
-        role.ok_or_else(|| format!("`{text}` is no role; give viewer, submitter, operator or admin"))
+        role.ok_or_else(|| format!("unknown role `{text}`; give viewer, submitter, operator or admin"))
     }
 }
 

@@ -67,7 +67,8 @@ impl Identity {
         let (certificates, keys) = (of("BEGIN CERTIFICATE-"), of("PRIVATE KEY-"));
         let ([certificate, authority], [key]) = (&certificates[..], &keys[..]) else {
             return Err(format!(
-                "no identity: {} certificates and {} private keys, not its own, the authority's, and one key",
+                "not an identity: found {} certificates and {} private keys; expected its own certificate, the authority's, and one \
+                 private key",
                 certificates.len(),
                 keys.len()
             ));
@@ -93,7 +94,7 @@ impl Identity {
 
 /// Returns the PEM section at the start of `text`, including its last line.
 fn section(text: &str) -> Result<String, String> {
-    let last = text.find("-----END ").ok_or("a PEM section without an end")?;
+    let last = text.find("-----END ").ok_or("a PEM section has no END line")?;
     let end = text[last..].find('\n').map_or(text.len(), |line| last + line + 1);
     Ok(text[..end].trim_end().to_owned() + "\n")
 }
@@ -105,7 +106,7 @@ pub fn holder_of(certificate: &CertificateDer<'_>) -> Result<Holder, TrustError>
     let uris: Vec<&str> = parsed.valid_uri_names().collect();
     match uris[..] {
         [uri] => Holder::of_uri(uri),
-        _ => Err(strange(format!("{} URIs", uris.len()))),
+        _ => Err(strange(format!("expected one URI in the certificate, found {}", uris.len()))),
     }
 }
 

@@ -35,7 +35,7 @@ impl<T: Default> Reread<T> {
     /// Calls `look` with the current content. If the file cannot be read any more, its last valid content stays in force.
     pub(crate) fn look<R>(&self, look: impl FnOnce(&T) -> R) -> R {
         if let Err(error) = self.refresh() {
-            tracing::warn!(%error, "what the file said before holds");
+            tracing::warn!(%error, "cannot reread the file: its last valid content stays in force");
         }
         look(&self.state.read().unwrap_or_else(PoisonError::into_inner).said)
     }

@@ -26,7 +26,7 @@ impl Revoked {
 fn read(path: &Path, text: &str) -> Result<HashSet<Fingerprint>, TrustError> {
     let fingerprint = |(at, line): (usize, &str)| {
         let fingerprint = line.split_whitespace().next().and_then(Fingerprint::parse);
-        let message = || format!("line {at}: no fingerprint of a certificate");
+        let message = || format!("line {at}: expected the fingerprint of a certificate");
         fingerprint.ok_or_else(|| TrustError::Malformed { path: path.into(), message: message() })
     };
     lines(text).map(fingerprint).collect()

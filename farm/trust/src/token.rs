@@ -111,15 +111,15 @@ impl Pass {
     pub fn parse(text: &str) -> Result<Self, String> {
         let text = text.trim();
         let (first, rest) = text.split_once('\n').unwrap_or((text, ""));
-        let token =
-            Token::parse(first.trim()).ok_or("its first line is no token: it is cut short, or something else")?;
+        let token = Token::parse(first.trim())
+            .ok_or("its first line is not a token: it is cut short, or it is something else")?;
         let authority = match rest.trim() {
             "" => None,
             certificate if certificate.matches("-----BEGIN ").count() == 1 => {
                 CertificateDer::from_pem_slice(certificate.as_bytes()).map_err(|error| error.to_string())?;
                 Some(format!("{certificate}\n"))
             }
-            _ => return Err("after the token there is something else than one certificate".into()),
+            _ => return Err("only one certificate may follow the token".into()),
         };
         Ok(Self { token, authority })
     }

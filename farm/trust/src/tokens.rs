@@ -19,10 +19,10 @@ pub struct Tokens(Reread<Vec<TokenLine>>);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum BadToken {
     /// The text does not have the form of a token.
-    #[error("this is no token of femc: it is cut short, or something else")]
+    #[error("this is not a femc token: it is cut short, or it is something else")]
     Malformed,
     /// The token is not in the file, or no longer.
-    #[error("this farm does not know the token, or not any more")]
+    #[error("this farm does not know the token: it is wrong, or it was revoked")]
     Unknown,
     /// The token has expired.
     #[error("the token has expired")]
@@ -119,13 +119,13 @@ pub(crate) fn parse(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustErro
 
 /// Parses a file and skips invalid lines with a warning.
 fn sensible(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustError> {
-    let warn = |error: &TrustError| tracing::warn!(%error, "the line is left out");
+    let warn = |error: &TrustError| tracing::warn!(%error, "ignored an invalid line");
     Ok(each(path, text).filter_map(|line| line.inspect_err(warn).ok()).collect())
 }
 
 fn each(path: &Path, text: &str) -> impl Iterator<Item = Result<TokenLine, TrustError>> {
     lines(text).map(move |(at, line)| {
-        let message = || format!("line {at}: no `NAME ROLE DIGEST`, or `NAME ROLE DIGEST UNTIL`");
+        let message = || format!("line {at}: expected `NAME ROLE DIGEST` or `NAME ROLE DIGEST UNTIL`");
         TokenLine::parse(line).ok_or_else(|| TrustError::Malformed { path: path.into(), message: message() })
     })
 }

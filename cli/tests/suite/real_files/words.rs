@@ -116,7 +116,7 @@ fn an_object_called_default_does_not_merge_with_what_is_in_none_without_a_word()
     let check = place.run("check two.mgf").exits(0).stdout();
     assert!(check.contains("object `default` has the Cryptomatte id of what is in no object"), "{check}");
     let plan = place.run("plan two.mgf --no-trial --layers object").exits(0).stderr();
-    assert!(plan.contains("the object called `default` has the Cryptomatte id"), "{plan}");
+    assert!(plan.contains("the object called `default` has the same Cryptomatte id"), "{plan}");
     let plan = place.run("plan two.mgf --no-trial --layers depth").exits(0).stderr();
     assert!(!plan.contains("Cryptomatte"), "{plan}");
     for (first, second) in [("o default;F;o", "o other;F;o"), ("F", "o other;F;o")] {

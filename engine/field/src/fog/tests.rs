@@ -376,16 +376,13 @@ fn cells_that_are_no_tree_of_boxes_or_have_no_light_are_refused() {
     assert!(!accepted(&[cut(3, 0.5), leaf, leaf]) && !accepted(&[cut(0, 1.5), leaf, leaf]));
     assert!(!accepted(&[cut(0, f32::NAN), leaf, leaf]));
     assert!(!accepted(&[cut(0, 0.5), cut(0, 0.7), leaf, leaf, leaf]), "a cut outside of its box");
-    assert!(!with(|leaf| leaf.mean[2] = Rgb::splat(1.1)), "less than nothing in a corner");
+    assert!(!with(|leaf| leaf.mean[2] = Rgb::splat(1.1)), "a negative value in a corner");
     assert!(!with(|leaf| leaf.mean[0].y = f32::NAN) && !with(|leaf| leaf.mean[3].z = f32::INFINITY));
     assert!(!with(|leaf| leaf.sigma_s.x = -1e-9) && !with(|leaf| leaf.sigma_t.z = f32::NAN));
     assert!(!with(|leaf| leaf.sigma_t.z = f32::INFINITY));
     let mut large = good;
     large.sigma_s = Rgb::splat(f32::MAX);
-    assert!(
-        !accepted(&[FogCell::Leaf(FogLeaf { mean: large.mean.map(|m| m * 4.0), ..large })]),
-        "a product without end"
-    );
+    assert!(!accepted(&[FogCell::Leaf(FogLeaf { mean: large.mean.map(|m| m * 4.0), ..large })]), "an infinite product");
     assert!(FogTree::new([Vec3A::ONE, Vec3A::ZERO], &[leaf]).is_none());
     assert!(with(|leaf| *leaf = FogLeaf { mean: leaf.mean.map(|m| m * 7.0), ..*leaf }.limited()));
 }

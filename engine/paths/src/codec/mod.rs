@@ -61,7 +61,7 @@ const PORTION: usize = 4 + 2 * (1 + 2 * schema::FINE + ENDS);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PathsError {
     /// The bytes have another version of the format.
-    #[error("light statistics of format {found}, not {expected}")]
+    #[error("light statistics have format {found}, but this program reads format {expected}")]
     Version {
         /// Version of the bytes.
         found: u32,
@@ -69,7 +69,7 @@ pub enum PathsError {
         expected: u32,
     },
     /// The counts use bins of another version.
-    #[error("light statistics with bins of version {found}, not {expected}")]
+    #[error("light statistics have bins of version {found}, but this program reads version {expected}")]
     Schema {
         /// Version of the bytes.
         found: u32,
@@ -77,12 +77,12 @@ pub enum PathsError {
         expected: u32,
     },
     /// The bytes are damaged or not light statistics.
-    #[error("no light statistics: {0}")]
+    #[error("invalid light statistics: {0}")]
     Corrupt(&'static str),
 }
 
 const CUT: PathsError = PathsError::Corrupt("cut short");
-const ORDER: PathsError = PathsError::Corrupt("records out of order");
+const ORDER: PathsError = PathsError::Corrupt("records are out of order");
 const RANGE: PathsError = PathsError::Corrupt("a number is out of its range");
 
 impl Statistics {
@@ -136,7 +136,7 @@ impl Statistics {
     pub fn decode(bytes: &[u8]) -> Result<Self, PathsError> {
         let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(CUT)?;
         if prefix[..MAGIC.len()] != MAGIC[..] {
-            return Err(PathsError::Corrupt("it begins as something else"));
+            return Err(PathsError::Corrupt("wrong magic number"));
         }
         let mut front = Front(&prefix[MAGIC.len()..]);
         let found = front.word()?;
@@ -161,7 +161,7 @@ impl Statistics {
         let (film, lower, upper, is_full) = ([width, height], [a, b, c], [d, e, f], full == 1);
         let scope = Scope { seed, frame, film, edge, lower, upper, keep, top, is_full };
         if !scope.is_sound() || full > 1 {
-            return Err(PathsError::Corrupt("no such film"));
+            return Err(PathsError::Corrupt("invalid film or settings"));
         }
         let threshold = front.long()?;
         let lengths = front.words()?;
@@ -179,8 +179,8 @@ fn portion(key: &PortionKey, counters: &Counters) -> [u32; PORTION] {
 }
 
 fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, PathsError> {
-    const LENGTH: PathsError = PathsError::Corrupt("tables of another length");
-    const DAMAGED: PathsError = PathsError::Corrupt("tables do not decompress");
+    const LENGTH: PathsError = PathsError::Corrupt("the tables have a wrong length");
+    const DAMAGED: PathsError = PathsError::Corrupt("the tables cannot be decompressed");
     if plain > MOST {
         return Err(LENGTH);
     }
@@ -198,7 +198,7 @@ fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7])
     let heads = [paths, brightest, deepest];
     let [paths, brightest, deepest] = records::records(&mut tables, heads, [intersections, lights], &names, &scope)?;
     if !tables.0.is_empty() {
-        return Err(PathsError::Corrupt("more than its tables"));
+        return Err(PathsError::Corrupt("extra bytes follow the tables"));
     }
     let mut read = Statistics { scope, threshold, portions, paths, brightest, deepest, names };
     // Settling drops records that the scope does not allow or that no portion counted. Valid statistics have no such records.
@@ -206,7 +206,7 @@ fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7])
     let before = extent(&read);
     read.settle();
     if extent(&read) != before || !read.paths.keys().all(|(_, key)| read.portion_of(*key).is_some()) {
-        return Err(PathsError::Corrupt("records that do not belong there"));
+        return Err(PathsError::Corrupt("records do not match the settings or portions"));
     }
     Ok(read)
 }
@@ -230,7 +230,7 @@ fn read_portions(
         }
         // The portion's key must agree with the number of counted samples.
         if counters.samples() != u64::from(key.samples()) * scope.area(tile) {
-            return Err(PathsError::Corrupt("samples of another number"));
+            return Err(PathsError::Corrupt("wrong number of samples"));
         }
         if portions.last_key_value().is_some_and(|(last, _)| *last >= key) || !is_clear(&portions, key) {
             return Err(ORDER);
@@ -268,7 +268,7 @@ fn read_names(tables: &mut Tables<'_>, records: u32) -> Result<Names, PathsError
     for [kind, bytes] in records {
         let (text, rest) = tables.0.split_at_checked(bytes as usize).ok_or(CUT)?;
         tables.0 = rest;
-        let text = std::str::from_utf8(text).map_err(|_| PathsError::Corrupt("a name is no text"))?;
+        let text = std::str::from_utf8(text).map_err(|_| PathsError::Corrupt("a name is not valid UTF-8"))?;
         let kind = number(&Kind::ALL, kind)?;
         let name = Name::of(kind, text);
         if names.last_key_value().is_some_and(|(last, _)| *last >= name) || name == Name::NONE {

@@ -221,7 +221,7 @@ pub(super) fn records(
         *records = paths.collect::<Result<_, PathsError>>()?;
     }
     if rest.intersections.next().is_some() || rest.lights.next().is_some() {
-        return Err(PathsError::Corrupt("more than its tables"));
+        return Err(PathsError::Corrupt("the tables contain unused records"));
     }
     Ok(all)
 }

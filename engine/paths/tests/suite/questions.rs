@@ -87,14 +87,14 @@ fn objects_come_one_after_the_other_and_a_box_has_what_is_in_it() {
 #[test]
 fn what_is_no_condition_says_where_and_what_is_expected() {
     let error = |text: &str| Condition::parse(text).unwrap_err().to_string();
-    assert_eq!(error("radiance.g >"), "column 13: \"\" where a number is expected");
-    assert_eq!(error("bounce ~ 2"), "column 8: \"~\" where `==`, `!=`, `<`, `<=`, `>` or `>=` is expected");
-    assert_eq!(error("interaction < glossy"), "column 13: \"<\" where `==` or `!=` is expected");
-    assert_eq!(error("bounce == 2 bounce"), "column 13: \"bounce\" where `and`, `or` or the end is expected");
-    assert_eq!(error("bounce == nan"), "column 11: \"nan\" where a number is expected");
-    assert_eq!(error("(bounce == 2"), "column 13: \"\" where `)` is expected");
-    assert!(error("radiance.x > 2").starts_with("column 1: there is no \"radiance.x\"; known are bounce,"));
-    assert!(error("end == mirror").starts_with("column 8: end is never \"mirror\"; it is one of escaped, absorbed"));
+    assert_eq!(error("radiance.g >"), "column 13: found \"\", expected a number");
+    assert_eq!(error("bounce ~ 2"), "column 8: found \"~\", expected `==`, `!=`, `<`, `<=`, `>` or `>=`");
+    assert_eq!(error("interaction < glossy"), "column 13: found \"<\", expected `==` or `!=`");
+    assert_eq!(error("bounce == 2 bounce"), "column 13: found \"bounce\", expected `and`, `or` or the end");
+    assert_eq!(error("bounce == nan"), "column 11: found \"nan\", expected a number");
+    assert_eq!(error("(bounce == 2"), "column 13: found \"\", expected `)`");
+    assert!(error("radiance.x > 2").starts_with("column 1: unknown name \"radiance.x\"; known names: bounce,"));
+    assert!(error("end == mirror").starts_with("column 8: end cannot be \"mirror\"; it is one of escaped, absorbed"));
     assert_eq!(Condition::parse(&"(".repeat(1000)), Err(QueryError::TooDeep));
     assert_eq!(Condition::parse(&"depth == 1 and ".repeat(1000)), Err(QueryError::TooLong));
     for text in ["", "and", "\"", "é == 2", "object == é", "not", "object ==", "object == )", "depth == 1e999"] {

@@ -46,7 +46,7 @@ fn reason(makers: &Makers<'_>, expression: &Expression, longest: Option<usize>) 
     Some(match darkness(expression, &vocabulary, &made, longest)? {
         Darkness::NoCamera => "a path begins at the camera; begin the expression with `C`".into(),
         Darkness::NoSource => {
-            "a path ends at its only source of light; end the expression with `L`, `[LOB]` or `.*`".into()
+            "a path ends at its only light source; end the expression with `L`, `[LOB]` or `.*`".into()
         }
         Darkness::TooLong(segments) => format!(
             "its shortest path has {segments} segments, and --max-depth allows {}; raise --max-depth",
@@ -105,13 +105,13 @@ fn lack(event: &Event, vocabulary: &Vocabulary, made: &BTreeSet<(Kind, LabelSet)
     } else if is_smooth {
         text += "; its gloss is perfectly smooth, which is `S`: write `S` instead of `G`, or `[GS]` for both";
     } else if kinds.iter().all(|kind| transmits.contains(kind)) {
-        text += "; what goes straight through a clear sheet makes no event: leave it out of the expression";
+        text += "; light that goes straight through a clear sheet makes no event: leave it out of the expression";
     } else if is_source && has(Light) && !wants(Light) {
         text += "; lamps are `L`: write `L`, or `[LOB]` for all sources";
     } else if is_source && has(Object) && !wants(Object) {
         text += "; media that glow are `O`: write `O`, or `[LOB]` for all sources";
     } else if is_labelled && !there.is_empty() {
-        text += &format!("; what is there makes `{}`", spelled(there));
+        text += &format!("; the events there are `{}`", spelled(there));
     }
     text
 }

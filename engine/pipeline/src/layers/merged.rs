@@ -12,9 +12,11 @@ pub fn merged_names(scene: &Scene, features: &BTreeSet<Feature>) -> Vec<String> 
     for feature in features.iter().filter(|feature| feature.matte().is_some()) {
         let kind = feature.name();
         if has_default(scene, *feature) && has_unnamed(scene, *feature) {
-            let unnamed = if *feature == Feature::Object { "what is in no object" } else { "the unnamed material" };
+            let unnamed =
+                if *feature == Feature::Object { "the surfaces without an object" } else { "the unnamed material" };
             all.push(format!(
-                "--layers {kind}: the {kind} called `{}` has the Cryptomatte id of {unnamed}: a compositor picks both as one; rename it",
+                "--layers {kind}: the {kind} called `{}` has the same Cryptomatte id as {unnamed}: a compositor \
+                 cannot separate them; rename it",
                 cryptomatte::UNNAMED
             ));
         }
@@ -26,7 +28,7 @@ pub fn merged_names(scene: &Scene, features: &BTreeSet<Feature>) -> Vec<String> 
             let names: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
             let names = names.join(", ");
             all.push(format!(
-                "--layers {kind}: {names} have one Cryptomatte id by chance: a compositor picks all as one; rename one"
+                "--layers {kind}: {names} have the same Cryptomatte id by chance: a compositor cannot separate them; rename one"
             ));
         }
     }

@@ -162,7 +162,7 @@ fn the_reason_names_the_event_and_the_hint_what_to_write() {
         (
             "mirror ball",
             "C<RD'thing'>L",
-            &["nothing makes the event `<RD>`", "at 'thing'", "what is there makes `<RS>`"],
+            &["nothing makes the event `<RD>`", "at 'thing'", "the events there are `<RS>`"],
         ),
         ("matte", "D.*L", &["begin the expression with `C`"]),
         ("matte", "CD", &["end the expression with `L`"]),

@@ -29,13 +29,13 @@ impl Sights {
     /// - errors: the bytes are not the output of [`Sights::encode`].
     pub fn decode(bytes: &[u8]) -> Result<Self, Damaged> {
         let mut reader = Reader::new(bytes, WHAT)?;
-        let leaf = u32::try_from(reader.number()?).map_err(|_| Damaged("the place of its first leaf"))?;
+        let leaf = u32::try_from(reader.number()?).map_err(|_| Damaged("the index of its first leaf is too large"))?;
         let traced = reader.number()?;
         let counts = reader.numbers()?;
         let number = counts.iter().map(|&count| u64::from(count)).sum::<u64>();
         let leaves = reader.numbers()?;
         if leaves.len() as u64 != number {
-            return Err(Damaged("its number of rays"));
+            return Err(Damaged("its number of rays is wrong"));
         }
         let mut sights: Vec<Sight> = leaves.into_iter().map(|leaf| Sight { leaf, ..Sight::NOTHING }).collect();
         fill(&mut sights, reader.bytes()?, |sight, part| sight.part = part)?;

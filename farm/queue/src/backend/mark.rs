@@ -143,7 +143,7 @@ impl Mark {
             // The log's writer does not wait for the sync.
             tokio::task::spawn_blocking(move || {
                 if let Err(error) = file.and_then(|file| file.sync_data()) {
-                    tracing::warn!(path = %path.display(), %error, "the log's mark does not reach the disk");
+                    tracing::warn!(path = %path.display(), %error, "cannot sync the log's mark to the disk");
                 }
             });
         }
@@ -153,7 +153,7 @@ impl Mark {
     fn written(&mut self) {
         let written = self.write();
         if let (Err(error), true) = (&written, self.is_written) {
-            tracing::warn!(path = %self.path.display(), %error, "the log's mark stays behind");
+            tracing::warn!(path = %self.path.display(), %error, "cannot write the log's mark: it is outdated");
         }
         self.is_written = written.is_ok();
     }

@@ -166,9 +166,9 @@ impl Sqlite {
                 self.is_moved = sealed > 0;
                 at(sealed)
             }
-            (Found::Mark(_), None) => unsure(format!("{mark} is of another log")),
-            (Found::Nothing, None) => unsure(format!("{mark}, which says how much that is, is missing")),
-            (Found::Damaged, None) => unsure(format!("{mark}, which says how much that is, is damaged")),
+            (Found::Mark(_), None) => unsure(format!("{mark} belongs to another log")),
+            (Found::Nothing, None) => unsure(format!("{mark}, which states the last durable record, is missing")),
+            (Found::Damaged, None) => unsure(format!("{mark}, which states the last durable record, is damaged")),
         })
     }
 
@@ -197,8 +197,8 @@ impl Sqlite {
         let (ahead, aside) = (self.beside("-wal"), self.beside("-wal-lost"));
         if fs::metadata(&ahead).is_ok_and(|file| file.len() > 0) {
             match fs::copy(&ahead, &aside) {
-                Ok(_) => tracing::warn!(path = %aside.display(), "a copy of what was written ahead is kept"),
-                Err(error) => tracing::warn!(path = %aside.display(), %error, "what was written ahead is not kept"),
+                Ok(_) => tracing::warn!(path = %aside.display(), "copied the write-ahead log"),
+                Err(error) => tracing::warn!(path = %aside.display(), %error, "cannot copy the write-ahead log"),
             }
         }
     }
@@ -271,7 +271,7 @@ async fn number(connection: &mut SqliteConnection, sql: &'static str) -> Result<
 /// Creates a unique identity for a log.
 async fn fresh(connection: &mut SqliteConnection) -> Result<Identity, sqlx::Error> {
     let random: Vec<u8> = sqlx::query("SELECT randomblob(16)").fetch_one(connection).await?.try_get(0)?;
-    random.try_into().map_err(|_| sqlx::Error::Protocol("randomblob(16) has other than 16 bytes".into()))
+    random.try_into().map_err(|_| sqlx::Error::Protocol("randomblob(16) did not return 16 bytes".into()))
 }
 
 /// Creates the tables. The header is sealed, because the log has no mark yet.
@@ -483,7 +483,7 @@ impl Queue for Sqlite {
         if let (Some(mark), Some(header)) = (&mut self.mark, self.header) {
             let sealed = Some(mark.known().sequence);
             if let Err(error) = mark.sync() {
-                tracing::warn!(%error, "the log's mark does not reach the disk");
+                tracing::warn!(%error, "cannot sync the log's mark to the disk");
             }
             match self.seal(Header { sealed, ..header }).await {
                 // Without room, the header stays unsealed and the mark stays valid.

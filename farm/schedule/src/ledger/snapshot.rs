@@ -11,8 +11,8 @@ use crate::Fact;
 pub enum SnapshotError {
     /// Another version wrote it.
     #[error(
-        "the farm's log is of version {found}, and this program reads versions {} to {}: finish its jobs with the program that \
-         wrote it, or begin with a new log",
+        "the farm's log has version {found}, and this program reads versions {} to {}: finish its jobs with the program that \
+         wrote it, or start with a new log",
         Ledger::OLDEST_VERSION,
         Ledger::VERSION
     )]
@@ -22,7 +22,7 @@ pub enum SnapshotError {
     },
     /// Another version recorded these attempts.
     #[error(
-        "attempts were noted in version {found}, and this program reads version {} only: they are left out of its reports",
+        "records of attempts have version {found}, and this program reads only version {}: its reports lack these attempts",
         crate::attempts::VERSION
     )]
     NoteVersion {
@@ -31,7 +31,7 @@ pub enum SnapshotError {
     },
     /// Another version recorded this roster of workers.
     #[error(
-        "workers were noted in version {found}, which this program does not read: they are known again when they come"
+        "the list of workers has version {found}, which this program does not read: workers reappear when they connect"
     )]
     RosterVersion {
         /// Version in the note's first byte.

@@ -62,7 +62,7 @@ fn notes_of_another_version_are_refused_and_say_so() {
     note[0] -= 1;
     let error = decode_attempts(&note).unwrap_err();
     assert!(matches!(error, SnapshotError::NoteVersion { found: 1 }), "{error}");
-    assert!(error.to_string().contains("attempts were noted in version 1"), "{error}");
+    assert!(error.to_string().contains("records of attempts have version 1,"), "{error}");
     assert!(matches!(decode_attempts(&[]), Err(SnapshotError::Empty)));
 }
 

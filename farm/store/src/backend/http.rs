@@ -133,7 +133,7 @@ impl Body for Patient {
             self.silence.as_mut().reset(Instant::now() + PIECE);
             return Poll::Ready(frame.map(|frame| frame.map_err(|error| HttpError::new(broken(&error), error))));
         }
-        let late = || std::io::Error::new(std::io::ErrorKind::TimedOut, "the answer stopped coming");
+        let late = || std::io::Error::new(std::io::ErrorKind::TimedOut, "the response stopped before its end");
         self.silence.as_mut().poll(cx).map(|()| Some(Err(HttpError::new(HttpErrorKind::Timeout, late()))))
     }
 

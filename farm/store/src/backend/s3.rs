@@ -24,7 +24,7 @@ pub(crate) fn open(url: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {
     let rest = url.strip_prefix("s3://").ok_or_else(|| wrong("it does not begin with s3://"))?;
     let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
     if bucket.is_empty() || !bucket.bytes().all(|byte| byte.is_ascii_alphanumeric() || b".-_".contains(&byte)) {
-        return Err(wrong("after s3:// there must be a bucket's name"));
+        return Err(wrong("a bucket name (letters, digits, `.`, `-` and `_`) must follow s3://"));
     }
     let prefix = Path::parse(prefix).map_err(|error| wrong(&error.to_string()))?;
     let retry = RetryConfig { backoff: BackoffConfig::default(), max_retries: 5, retry_timeout: PATIENCE };

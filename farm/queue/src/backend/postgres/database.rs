@@ -64,14 +64,15 @@ impl Database {
         let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
         match (cause, error.kind()) {
             (Some(InvalidCertificate(_)), _) => Some(format!(
-                "{error}; it takes `sslrootcert=FILE` with its authority, and the name that its certificate has"
+                "{error}; give the authority's certificate with `sslrootcert=FILE`, and address the server by the name in its \
+                 certificate"
             )),
             (Some(AlertReceived(_) | PeerIncompatible(_)), _) => Some(error.to_string()),
             // Connections to a port do not fail with these errors. Connections to a socket in a folder do while the server is away.
             (None, io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied)
                 if self.options.get_socket().is_none() && self.url.contains("ssl") =>
             {
-                Some(format!("{error}: a file that sslrootcert, sslcert or sslkey names"))
+                Some(format!("{error}: check the files that sslrootcert, sslcert and sslkey name"))
             }
             _ => None,
         }
@@ -91,7 +92,7 @@ impl Database {
                 _ => QueueError::Database { database: self.to_string(), message: said.message().to_owned() },
             },
             sqlx::Error::Tls(error) => rejected(format!(
-                "no encrypted connection: {error}; `?sslmode=disable` behind the address does without"
+                "no encrypted connection: {error}; to connect without encryption, append `?sslmode=disable` to the address"
             )),
             sqlx::Error::Io(error) => match self.hopeless(error) {
                 Some(message) => rejected(message),

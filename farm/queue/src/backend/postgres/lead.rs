@@ -101,7 +101,7 @@ impl Standby {
         let read = || Ok((Leader { url: row.try_get(0)?, epoch: row.try_get(1)? }, row.try_get::<bool, _>(2)?));
         let (leader, is_ended) = read().map_err(|error| self.database.map_sql_error(&error))?;
         if is_ended {
-            tracing::warn!(url = leader.url, seconds, "the leader is silent; its connection was ended");
+            tracing::warn!(url = leader.url, seconds, "the leader is silent; terminated its database connection");
         }
         Ok(Some(leader))
     }

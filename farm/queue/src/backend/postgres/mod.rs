@@ -206,7 +206,7 @@ impl Queue for Postgres {
 
     async fn copy(&mut self) -> Result<File, QueueError> {
         Err(QueueError::NoCopy {
-            instead: "it is in PostgreSQL; `pg_dump --schema=femc` copies it as it is at one moment",
+            instead: "it is in PostgreSQL; copy it with `pg_dump --schema=femc`, which reads the log at one point in time",
         })
     }
 

@@ -105,8 +105,8 @@ async fn beat(database: Database, epoch: i64, silence: Duration, tell: watch::Se
                 tell.send_replace(Standing::Deposed);
                 return;
             }
-            Ok(Err(error)) => tracing::debug!(%error, "no sign of life"),
-            Err(_) => tracing::debug!("a sign of life takes too long"),
+            Ok(Err(error)) => tracing::debug!(%error, "the leader's heartbeat failed"),
+            Err(_) => tracing::debug!("the leader's heartbeat timed out"),
         }
         sleep_until(asked + pause).await;
     }

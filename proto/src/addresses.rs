@@ -41,7 +41,7 @@ impl Addresses {
             all.push(uri);
         }
         if all.windows(2).any(|pair| pair[0].scheme() != pair[1].scheme()) {
-            return Err(no_address("all begin with http://, or all with https://".into()));
+            return Err(no_address("all addresses must begin with http://, or all with https://".into()));
         }
         // Start with the last, because the address after the one in use is tried first.
         let used = AtomicUsize::new(all.len() - 1);

@@ -59,11 +59,8 @@ impl Client {
         loop {
             let client = Self::open(dial, addresses.clone()).await?;
             left -= 1;
-            let silent = || CallError::Unreachable {
-                url: client.url().into(),
-                message: "it does not answer".into(),
-                why: Why::Away,
-            };
+            let silent =
+                || CallError::Unreachable { url: client.url().into(), message: "no answer".into(), why: Why::Away };
             match tokio::time::timeout(Self::PATIENCE, client.missing(&[])).await {
                 Ok(Ok(_)) => return Ok(client),
                 Ok(Err(error)) if left == 0 => return Err(error),

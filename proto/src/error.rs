@@ -11,7 +11,7 @@ use crate::{tls, wire};
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
     /// The address is invalid.
-    #[error("{url} is no address of a coordinator: {message}")]
+    #[error("invalid coordinator address {url}: {message}")]
     Address {
         /// Address of the coordinator.
         url: String,
@@ -19,19 +19,19 @@ pub enum CallError {
         message: String,
     },
     /// The address is encrypted and needs an identity or a token, but neither was given.
-    #[error("{url} is encrypted, which takes an identity or a token")]
+    #[error("{url} is encrypted and requires an identity or a token")]
     NoIdentity {
         /// Address of the coordinator.
         url: String,
     },
     /// The token would cross a network on which others can read it.
-    #[error("{url} is neither encrypted nor on this machine: the token is not sent there")]
+    #[error("the token is not sent to {url}: the address is not encrypted and not on this machine")]
     OpenToken {
         /// Address of the coordinator.
         url: String,
     },
     /// The address is encrypted, but the token's file has no certificate to verify the coordinator with.
-    #[error("{url} is encrypted, and the token's file has no certificate of the farm's authority")]
+    #[error("{url} is encrypted, but the token file has no certificate of the farm's authority")]
     NoAuthority {
         /// Address of the coordinator.
         url: String,
@@ -50,10 +50,10 @@ pub enum CallError {
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// The coordinator's answer is invalid.
-    #[error("the coordinator's answer makes no sense: {0}")]
+    #[error("invalid answer from the coordinator: {0}")]
     Answer(#[from] ConvertError),
     /// The server failed in another way, or did not understand the call.
-    #[error("the coordinator says {code}: {message}")]
+    #[error("the coordinator answered {code}: {message}")]
     Status {
         /// gRPC status code.
         code: String,
@@ -82,7 +82,7 @@ pub enum BackupError {
     #[error(transparent)]
     Call(#[from] CallError),
     /// The copy cannot be written.
-    #[error("the copy cannot be written: {0}")]
+    #[error("cannot write the backup: {0}")]
     Write(#[from] std::io::Error),
 }
 
@@ -110,7 +110,7 @@ pub enum IdentityError {
     #[error("cannot verify clients with the authority's certificate: {0}")]
     Authority(#[from] rustls::server::VerifierBuilderError),
     /// TLS refuses the certificate or the key.
-    #[error("TLS refuses the certificate or the key: {0}")]
+    #[error("TLS rejects the certificate or the key: {0}")]
     Tls(#[from] rustls::Error),
 }
 

@@ -34,7 +34,7 @@ const GREETING: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 /// Probes `url`, one address, over TCP: sends the first bytes of HTTP/2 and reads the first bytes of the answer.
 pub async fn look(url: &str) -> Found {
     let nobody = |message: String| Found::Nobody { message };
-    let Ok(addresses) = Addresses::parse(url) else { return nobody("it is no address".into()) };
+    let Ok(addresses) = Addresses::parse(url) else { return nobody("invalid address".into()) };
     let connecting = tokio::time::timeout(PATIENCE, TcpStream::connect(addresses.first_place()));
     let mut stream = match connecting.await {
         Ok(Ok(stream)) => stream,

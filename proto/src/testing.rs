@@ -34,8 +34,8 @@ where
     let Ok(model) = M::try_from(wire) else { return false };
     let sent = W::from(model).encode_to_vec();
     let received = W::decode(&sent[..]).map(M::try_from);
-    let Ok(Ok(model)) = received else { panic!("what was sent on is not understood") };
-    assert_eq!(W::from(model).encode_to_vec(), sent, "what was sent on is something else");
+    let Ok(Ok(model)) = received else { panic!("cannot decode the forwarded message") };
+    assert_eq!(W::from(model).encode_to_vec(), sent, "the forwarded message differs");
     true
 }
 

@@ -70,7 +70,7 @@ impl Patience {
         if !makes_sense || since.elapsed() + self.pause > Self::LONGEST {
             return Err(error);
         }
-        tracing::debug!(%error, reached = self.reached, "a transfer was cut; it goes on");
+        tracing::debug!(%error, reached = self.reached, "a transfer was interrupted and will resume");
         tokio::time::sleep(self.pause).await;
         self.pause = (2 * self.pause).min(Self::LONGEST_PAUSE);
         Ok(())

@@ -53,7 +53,7 @@ pub(crate) async fn idle(table: &Table, limit: Option<Duration>) {
         match table.idle_since() {
             None => tokio::time::sleep(LOOK).await,
             Some(since) if since.elapsed() >= limit => {
-                tracing::info!(?limit, "no task for so long: ending");
+                tracing::info!(?limit, "idle limit reached: stopping");
                 return;
             }
             Some(since) => tokio::time::sleep_until(far(since, limit)).await,

@@ -59,5 +59,5 @@ fn contents(
 /// Reports an incomplete scene. The lost inputs include the scene's own digest, because the scheduler knows that one.
 fn lost(name: &Digest, digests: &[Digest], message: &dyn std::fmt::Display) -> Failure {
     let digests = digests.iter().chain([name]).copied().collect();
-    Failure::LostInputs { digests, message: format!("the scene is not whole: {message}; submit it again") }
+    Failure::LostInputs { digests, message: format!("the scene is incomplete: {message}; submit it again") }
 }

@@ -145,15 +145,14 @@ impl Cache {
             ("frames", &frames.hits, &frames.misses),
             ("first passes", &fields.hits, &fields.misses),
         ];
-        let help =
-            "Looks for something that is made ready once, by what it was: scene files, scenes, frames, first passes.";
+        let help = "Lookups in the caches of prepared data: scene files, scenes, frames, first passes.";
         let family = page.counter("femc_worker_cache_lookups_total", help);
         looks.into_iter().fold(family, |family, (cache, hits, misses)| {
             let family = family.with(&[("cache", cache), ("outcome", "hit")], hits.get() as f64);
             family.with(&[("cache", cache), ("outcome", "miss")], misses.get() as f64)
         });
-        page.gauge("femc_worker_pieces_bytes", "Bytes of pieces of scenes that are kept.").counts(pieces.bytes());
-        let help = "Bytes of pieces of scenes that were not kept and had to be fetched.";
+        page.gauge("femc_worker_pieces_bytes", "Bytes of scene pieces in the cache.").counts(pieces.bytes());
+        let help = "Bytes of scene pieces that were not in the cache and were downloaded.";
         page.counter("femc_worker_pieces_fetched_bytes_total", help).counts(pieces.fetched());
     }
 
@@ -174,7 +173,8 @@ impl Cache {
     ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
         let read = self.scene(spec, client, fetch)?;
         if read.settings.method.has_first_pass() != light.is_some() {
-            let message = "a method with a first pass, and no other, has a stage of that kind, whose output is read";
+            let message =
+                "invalid job graph: it must have a first-pass stage if, and only if, the method has a first pass";
             return Err(Failure::Settings { message: message.into() });
         }
         self.prepared(read, frame, light, client, fetch)

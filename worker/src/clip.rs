@@ -100,7 +100,7 @@ fn by_ffmpeg<E>(
     is_cancelled: &dyn Fn() -> bool,
 ) -> Result<(), ClipError<E>> {
     let at = |error: &dyn Display| ClipError::Ffmpeg(error.to_string());
-    let version = ffmpeg().ok_or_else(|| at(&"it is not on the PATH"))?;
+    let version = ffmpeg().ok_or_else(|| at(&"not found on the PATH"))?;
     let comment = format!("comment=femc {}, ffmpeg {version}", env!("CARGO_PKG_VERSION"));
     let mut encoder = Command::new("ffmpeg")
         .args(["-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"])

@@ -144,7 +144,12 @@ impl Fetch {
 }
 
 fn collected(inputs: &BTreeMap<Digest, Result<Bytes, Failure>>, digest: &Digest) -> Result<Bytes, Failure> {
-    let missing = || Err(Failure::LostInputs { digests: vec![*digest], message: "it was not collected".into() });
+    let missing = || {
+        Err(Failure::LostInputs {
+            digests: vec![*digest],
+            message: "the artifact was not downloaded before the task began".into(),
+        })
+    };
     inputs.get(digest).cloned().unwrap_or_else(missing)
 }
 

@@ -56,7 +56,7 @@ impl Finish {
         let units = task.units.load(std::sync::atomic::Ordering::Relaxed);
         let _ = write!(header, "; {units} {}", task.row().unit);
         if let Some(peak) = task.account.peak() {
-            let _ = write!(header, "; {} MiB at most in this process meanwhile", peak.div_ceil(1 << 20));
+            let _ = write!(header, "; peak memory of this process {} MiB", peak.div_ceil(1 << 20));
         }
         header.push('\n');
         header

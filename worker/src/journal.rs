@@ -87,7 +87,9 @@ impl Journal {
             let path = folder.join(Self::FILE);
             match OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path) {
                 Ok(file) => book.page = Page::File(file),
-                Err(error) => tracing::warn!(file = %path.display(), %error, "what it computes is not written down"),
+                Err(error) => {
+                    tracing::warn!(file = %path.display(), %error, "cannot open the journal of running tasks")
+                }
             }
         }
         let left = book.page.read().and_then(|bytes| decode(&bytes));
@@ -95,7 +97,10 @@ impl Journal {
         let left = left.filter(|(of, _)| *of == boot).map(|(_, death)| death);
         book.before = left.filter(|death| !death.computing.is_empty());
         if let Some(death) = &book.before {
-            tracing::warn!(tasks = death.computing.len(), "an earlier process of this worker died while it computed");
+            tracing::warn!(
+                tasks = death.computing.len(),
+                "an earlier process of this worker died while it computed tasks"
+            );
         }
         book.boot = boot;
         (book.instance, book.is_closed, book.is_careful) = (instance, false, book.before.is_some());
@@ -159,7 +164,7 @@ impl Book {
     fn write(&mut self) {
         let written = encode(&self.boot, self.instance, &self.computing).map_err(io::Error::other);
         if let Err(error) = written.and_then(|bytes| self.page.write(&bytes)) {
-            tracing::warn!(%error, "what it computes is not written down");
+            tracing::warn!(%error, "cannot write the journal of running tasks");
             // Remove the older page, because it names the wrong tasks.
             self.page.clear();
         }

@@ -105,14 +105,14 @@ impl Memory {
         let estimate = watch.largest[kind].load(Ordering::Relaxed);
         let fits = |resident: u64| resident.saturating_add(estimate) <= watch.limit.bytes;
         if !fits(watch.resident()) {
-            tracing::info!("at the limit of memory: cached scenes and frames go");
+            tracing::info!("memory limit reached: clearing cached scenes and frames");
             cache.clear();
             let resident = watch.resident();
             if !fits(resident) {
                 let mega = |bytes: u64| bytes.div_ceil(1 << 20);
                 return Err(Failure::Resources {
                     message: format!(
-                        "{} MiB are in use and the task may need {} MiB, of {} MiB that the worker may use (--memory)",
+                        "{} MiB are in use and the task may need {} MiB more; the worker's limit is {} MiB (--memory)",
                         mega(resident),
                         mega(estimate),
                         mega(watch.limit.bytes)
@@ -128,13 +128,15 @@ impl Memory {
     /// - `what`: its name for the message.
     pub(crate) fn holds(&self, needs: u64, what: &str) -> Result<(), Failure> {
         let (room, who) = match &self.0 {
-            Some(watch) => (Some(watch.limit.bytes.saturating_sub(watch.resident())), "the worker may use (--memory)"),
-            None => (available(), "the machine has left"),
+            Some(watch) => {
+                (Some(watch.limit.bytes.saturating_sub(watch.resident())), "the worker's limit (--memory) leaves")
+            }
+            None => (available(), "this machine has only"),
         };
         let mega = |bytes: u64| bytes.div_ceil(1 << 20);
         match room {
             Some(room) if needs > room => Err(Failure::Resources {
-                message: format!("{what} takes {} MiB at least, of {} MiB that {who}", mega(needs), mega(room)),
+                message: format!("{what} needs at least {} MiB, but {who} {} MiB", mega(needs), mega(room)),
             }),
             _ => Ok(()),
         }
@@ -208,13 +210,15 @@ mod tests {
         let refused = memory.holds((40 << 20) + 1, "a first pass").err();
         assert!(
             matches!(&refused, Some(Failure::Resources { message })
-                if message == "a first pass takes 41 MiB at least, of 40 MiB that the worker may use (--memory)"),
+                if message == "a first pass needs at least 41 MiB, but the worker's limit (--memory) leaves 40 MiB"),
             "{refused:?}"
         );
         let memory = Memory::default();
         assert!(memory.holds(1, "it").is_ok());
         if cfg!(target_os = "linux") {
-            assert!(memory.holds(1 << 60, "it").is_err_and(|error| error.to_string().contains("the machine has left")));
+            assert!(
+                memory.holds(1 << 60, "it").is_err_and(|error| error.to_string().contains("this machine has only"))
+            );
         }
     }
 

@@ -109,7 +109,7 @@ impl Metrics {
         let is_connected = self.0.is_connected.load(Ordering::Relaxed);
         let health = match is_connected {
             true => Health::Ready,
-            false => Health::Waits { message: "it looks for its coordinator".into() },
+            false => Health::Waits { message: "the worker is connecting to its coordinator".into() },
         };
         let mut page = Page::default();
         let labels = [
@@ -118,16 +118,17 @@ impl Metrics {
             ("role", "worker"),
             ("engine", crate::engine()),
         ];
-        page.gauge("femc_build_info", "Which program this is; always 1.").with(&labels, 1.0);
+        page.gauge("femc_build_info", "Version, protocol, role and engine of this program; always 1.")
+            .with(&labels, 1.0);
         let help = "Whether the worker has a session with a coordinator.";
         page.gauge("femc_worker_connected", help).is(u8::from(is_connected));
         self.put_tasks(&mut page);
         self.put_usage(&mut page);
         if let Some((table, cache, meter, left_behind)) = self.0.parts.get() {
-            let help = "Processor time while the worker held no task, its start included, in seconds.";
+            let help = "Processor time without a task, including startup, in seconds.";
             page.counter("femc_worker_idle_cpu_seconds_total", help).is(meter.idle().as_secs_f64());
             put_held(&mut page, table);
-            let help = "Threads whose tasks were cancelled and that run on, since nothing can interrupt them.";
+            let help = "Threads of cancelled tasks that still run because nothing can interrupt them.";
             page.gauge("femc_worker_threads_left_behind", help).counts(left_behind.count() as u64);
             cache.put(&mut page);
         }
@@ -138,29 +139,29 @@ impl Metrics {
     fn put_tasks(&self, page: &mut Page) {
         let Inner { sessions, done, failures, refused, revoked, .. } = &*self.0;
         page.counter("femc_worker_sessions_total", "Sessions with coordinators.").counts(sessions.get());
-        let help = "Results that the coordinator has made durable, by what the task did.";
+        let help = "Results that the coordinator has made durable, by kind of stage.";
         page.counter("femc_worker_tasks_done_total", help).each("stage", done.get());
-        page.counter("femc_worker_failures_total", "Tasks that were not done, by cause.").each("cause", failures.get());
-        let help = "Results that came after their lease was over, and change nothing.";
+        page.counter("femc_worker_failures_total", "Failed tasks, by cause.").each("cause", failures.get());
+        let help = "Results that arrived after their lease had expired and have no effect.";
         page.counter("femc_worker_refused_total", help).counts(refused.get());
-        page.counter("femc_worker_revoked_total", "Tasks that were taken back.").counts(revoked.get());
+        page.counter("femc_worker_revoked_total", "Tasks whose lease was revoked.").counts(revoked.get());
     }
 
     fn put_usage(&self, page: &mut Page) {
         let Used { wall, waited, prepared, cpu, samples, rays, fetched, sent } = &self.0.used;
-        let help = "From the beginning of tasks to their results, in seconds.";
+        let help = "Time from the start of tasks to their results, in seconds.";
         page.counter("femc_worker_task_seconds_total", help).is(wall.get());
-        let help = "From the arrival of tasks to their beginning, in seconds.";
+        let help = "Time from the arrival of tasks to their start, in seconds.";
         page.counter("femc_worker_wait_seconds_total", help).is(waited.get());
-        let help = "Of the seconds of tasks, those until their inputs were ready.";
+        let help = "Part of the task seconds before the inputs were ready.";
         page.counter("femc_worker_preparation_seconds_total", help).is(prepared.get());
-        let help = "Processor time that went into tasks, in seconds.";
+        let help = "Processor time of tasks, in seconds.";
         page.counter("femc_worker_cpu_seconds_total", help).is(cpu.get());
         page.counter("femc_worker_samples_total", "Pixel samples taken.").counts(samples.get());
         page.counter("femc_worker_rays_total", "Rays traced.").counts(rays.get());
-        let help = "Bytes of artifacts that tasks fetched.";
+        let help = "Bytes of artifacts that tasks downloaded.";
         page.counter("femc_worker_fetched_bytes_total", help).counts(fetched.get());
-        let help = "Bytes of artifacts that results sent.";
+        let help = "Bytes of artifacts that results uploaded.";
         page.counter("femc_worker_sent_bytes_total", help).counts(sent.get());
     }
 }
@@ -170,8 +171,8 @@ fn put_held(page: &mut Page, table: &Table) {
     let results: Vec<u64> = held.iter().filter_map(|task| task.result_bytes()).collect();
     let waiting = held.iter().filter(|task| !task.is_begun()).count();
     page.gauge("femc_worker_tasks_held", "Tasks that the worker holds.").counts(held.len() as u64);
-    page.gauge("femc_worker_tasks_waiting", "Of these, those that wait for their turn.").counts(waiting as u64);
+    page.gauge("femc_worker_tasks_waiting", "Held tasks that have not begun.").counts(waiting as u64);
     let help = "Results in the outbox: the coordinator has not acknowledged them.";
     page.gauge("femc_worker_outbox_results", help).counts(results.len() as u64);
-    page.gauge("femc_worker_outbox_bytes", "Bytes of these results.").counts(results.iter().sum());
+    page.gauge("femc_worker_outbox_bytes", "Bytes of the results in the outbox.").counts(results.iter().sum());
 }

@@ -21,7 +21,7 @@ impl Nice {
     /// Applies the niceness to the calling thread and the threads that it starts.
     pub(crate) fn apply(self) {
         if let Some(Err(error)) = self.0.map(lower) {
-            tracing::warn!(%error, "a thread keeps its priority");
+            tracing::warn!(%error, "cannot lower the priority of a thread");
         }
     }
 }
@@ -36,5 +36,5 @@ pub(crate) fn lower(niceness: u8) -> Result<(), String> {
 /// Fails: this system has no niceness.
 #[cfg(not(unix))]
 pub(crate) fn lower(_niceness: u8) -> Result<(), String> {
-    Err("this system has none".into())
+    Err("not supported on this system".into())
 }

@@ -194,7 +194,7 @@ impl Outbox {
         let (folder, lock) = claim(config)?;
         let (files, restored) = read_all(&folder, &engine).map_err(|error| fault(&folder, error))?;
         if !restored.is_empty() {
-            tracing::info!(results = restored.len(), folder = %folder.display(), "results of before are brought along");
+            tracing::info!(results = restored.len(), folder = %folder.display(), "restored undelivered results of an earlier run");
         }
         let line = Line { there: files.keys().copied().collect(), ..Line::default() };
         let place = folder.clone();
@@ -247,7 +247,7 @@ impl Outbox {
             return;
         }
         if line.keeps.len() >= LONGEST {
-            tracing::warn!(task = %task.assignment.task, "the outbox cannot write so fast: a result is in memory alone");
+            tracing::warn!(task = %task.assignment.task, "the outbox writes too slowly: a result is in memory only");
             return;
         }
         line.keeps.push_back(task.clone());
@@ -299,11 +299,13 @@ fn claim(config: &OutboxConfig) -> Result<(PathBuf, File), WorkerError> {
         match (lock.try_lock(), config.if_taken) {
             (Ok(()), _) => return Ok((folder, lock)),
             (Err(TryLockError::WouldBlock), IfTaken::NextFree) => {}
-            (Err(TryLockError::WouldBlock), IfTaken::Fail) => return Err(fault("another worker uses it".into())),
+            (Err(TryLockError::WouldBlock), IfTaken::Fail) => {
+                return Err(fault("another worker uses this folder".into()));
+            }
             (Err(TryLockError::Error(error)), _) => return Err(fault(error.to_string())),
         }
     }
-    Err(WorkerError::Outbox { folder: config.folder.clone(), message: "too many workers use it".into() })
+    Err(WorkerError::Outbox { folder: config.folder.clone(), message: "too many workers use this folder".into() })
 }
 
 type Files = BTreeMap<Key, u64>;
@@ -321,7 +323,7 @@ fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
                 let bytes = match fs::read(&path) {
                     Ok(bytes) => bytes,
                     Err(error) => {
-                        tracing::warn!(file = %path.display(), %error, "a kept result cannot be read; its task is done again");
+                        tracing::warn!(file = %path.display(), %error, "cannot read a stored result; its task will be repeated");
                         continue;
                     }
                 };
@@ -338,7 +340,7 @@ fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
                         restored.push(result);
                     }
                     None => {
-                        tracing::warn!(file = %path.display(), "a kept result is damaged, or another build's; its task is done again");
+                        tracing::warn!(file = %path.display(), "a stored result is damaged or from another build; its task will be repeated");
                         fs::remove_file(&path)?;
                     }
                 }
@@ -423,7 +425,7 @@ impl ResultWriter {
                 true
             }
             Err(error) => {
-                tracing::warn!(task = %key.0, folder = %self.folder.display(), %error, "a result is in memory alone");
+                tracing::warn!(task = %key.0, folder = %self.folder.display(), %error, "cannot write a result to the outbox; it is in memory only");
                 false
             }
         }
@@ -433,7 +435,7 @@ impl ResultWriter {
     fn write(&mut self, task: &Task, product: &Product) -> io::Result<u64> {
         let room = self.limit.saturating_sub(self.used);
         let full =
-            || io::Error::new(io::ErrorKind::StorageFull, format!("the outbox has {} bytes at most", self.limit));
+            || io::Error::new(io::ErrorKind::StorageFull, format!("the outbox is full (limit: {} bytes)", self.limit));
         // Check before all artifacts are copied.
         if product.artifacts.iter().map(|bytes| bytes.len() as u64).sum::<u64>() > room {
             return Err(full());
@@ -457,7 +459,7 @@ impl ResultWriter {
         let Some(bytes) = self.files.remove(key) else { return };
         match fs::remove_file(self.path(key)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                tracing::warn!(task = %key.0, %error, "an acknowledged result stays in the outbox");
+                tracing::warn!(task = %key.0, %error, "cannot remove an acknowledged result from the outbox");
             }
             // A file that cannot be removed still counts as used.
             Ok(()) | Err(_) => self.used -= bytes,

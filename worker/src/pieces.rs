@@ -150,7 +150,7 @@ impl Pieces {
         };
         let sound = bytes.filter(|bytes| Digest::of(bytes) == *digest);
         if sound.is_none() {
-            tracing::warn!(%digest, "a cached piece of a scene is gone or damaged; it is fetched again");
+            tracing::warn!(%digest, "a cached scene piece is missing or damaged; downloading it again");
             self.lock().forget(digest);
             self.delete(&[*digest]);
         }
@@ -175,7 +175,7 @@ impl Pieces {
             Place::Memory => Some(bytes.clone()),
             Place::Folder(folder) => {
                 if let Err(error) = write(folder, digest, bytes) {
-                    tracing::warn!(folder = %folder.display(), %error, "a piece of a scene is not cached");
+                    tracing::warn!(folder = %folder.display(), %error, "cannot cache a scene piece");
                     return;
                 }
                 None

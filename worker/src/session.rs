@@ -98,7 +98,7 @@ impl<'a> Session<'a> {
     ) -> Result<End, CallError> {
         let silent = || CallError::Unreachable {
             url: self.client.url().into(),
-            message: format!("it said nothing for {} s", Claims::INTRODUCTION.as_secs()),
+            message: format!("no message for {} s", Claims::INTRODUCTION.as_secs()),
             why: Why::Away,
         };
         let (out, mut incoming) = tokio::select! {
@@ -158,7 +158,7 @@ impl<'a> Session<'a> {
                 },
                 // This branch is last, so that messages which have arrived meanwhile are read first.
                 () = tokio::time::sleep_until(self.claims.end()) => {
-                    tracing::warn!(url = self.client.url(), "coordinator is silent: no lease is counted on any more");
+                    tracing::warn!(url = self.client.url(), "coordinator is silent: the leases count as expired");
                     break Ok(End::Lost);
                 }
             }
@@ -184,7 +184,7 @@ impl<'a> Session<'a> {
                 out.send(FromWorker::Available).await;
             }
             Availability::Off => {
-                tracing::info!("off duty: it finishes what it is at");
+                tracing::info!("off duty: finishing running tasks");
                 out.send(FromWorker::Draining).await;
                 give_back(self.table.clear_line(), out).await;
             }
@@ -237,7 +237,7 @@ impl<'a> Session<'a> {
                 leases.iter().for_each(|lease| self.send((lease.task, lease.epoch)));
             }
             ToWorker::Revoke { task, epoch, reason } => {
-                tracing::debug!(%task, ?reason, "lease taken back");
+                tracing::debug!(%task, ?reason, "the lease was revoked");
                 let Some(held) = self.forget((task, epoch)) else { return };
                 self.config.metrics.revoked(&held);
                 self.usage.extend(held.usage().map(|usage| TaskUsage { task, epoch, usage }));

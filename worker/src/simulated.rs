@@ -47,7 +47,7 @@ async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, F
     }
     match fate {
         Fate::Done => {}
-        Fate::Panics => return Err(Failure::Panicked { message: "as fate has it".into() }),
+        Fate::Panics => return Err(Failure::Panicked { message: "simulated panic of the task".into() }),
         Fate::Kills(kill) => {
             kill();
             pending::<()>().await;

@@ -32,10 +32,10 @@ pub(crate) fn encode(frame: &Frame) -> Vec<u8> {
 pub fn decode(bytes: &[u8]) -> Result<Vec<Tile>, FilmError> {
     let mut rest = bytes;
     if take::<8>(&mut rest)? != *MAGIC {
-        return Err(FilmError::Corrupt("sums do not begin as sums do"));
+        return Err(FilmError::Corrupt("the sums have wrong magic bytes"));
     }
     if u32::from_le_bytes(take(&mut rest)?) != VERSION {
-        return Err(FilmError::Corrupt("sums of another version"));
+        return Err(FilmError::Corrupt("sums of another format version"));
     }
     let count = u32::from_le_bytes(take(&mut rest)?);
     let mut pieces = Vec::new();
@@ -47,12 +47,12 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<Tile>, FilmError> {
         rest = tail;
     }
     if !rest.is_empty() {
-        return Err(FilmError::Corrupt("sums with bytes after their end"));
+        return Err(FilmError::Corrupt("bytes after the end of the sums"));
     }
     pieces.into_par_iter().map(Tile::decode).collect()
 }
 
-const CUT: FilmError = FilmError::Corrupt("sums that end early");
+const CUT: FilmError = FilmError::Corrupt("the sums end early");
 
 fn take<const N: usize>(rest: &mut &[u8]) -> Result<[u8; N], FilmError> {
     let (head, tail) = rest.split_first_chunk::<N>().ok_or(CUT)?;

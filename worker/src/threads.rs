@@ -113,7 +113,7 @@ impl Runner {
 
     /// Executes the task; `None` if it was cancelled and does not end.
     fn work(&mut self, task: &Arc<Task>) -> Option<Outcome> {
-        let died = || Some(Err(Failure::Panicked { message: "the thread that did it died".into() }));
+        let died = || Some(Err(Failure::Panicked { message: "the thread of the task died".into() }));
         if self.hand.tasks.send(task.clone()).is_err() {
             self.replace_hand();
             return died();
@@ -135,7 +135,7 @@ impl Runner {
                     {
                         tracing::info!(
                             task = %task.key().0,
-                            "cancelled, but not interruptible: the thread runs on detached and its result is discarded"
+                            "cancelled, but not interruptible: the thread continues detached and its result is discarded"
                         );
                         return None;
                     }
@@ -153,7 +153,7 @@ impl Runner {
                 true
             }
             Err(error) => {
-                tracing::warn!(%error, "no thread can be started");
+                tracing::warn!(%error, "cannot start a thread");
                 false
             }
         }

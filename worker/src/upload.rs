@@ -46,7 +46,7 @@ pub(crate) async fn upload_log(client: &Client, task: &Task) -> Option<TaskLog> 
         LogPlace::Store => match client.put(Bytes::copy_from_slice(text.as_bytes())).await {
             Ok(artifact) => LogText::Stored(artifact),
             Err(error) => {
-                LogText::Inline(cut(&format!("the log was not kept: {error}\n{text}"), LogText::INLINE).into())
+                LogText::Inline(cut(&format!("cannot store the log: {error}\n{text}"), LogText::INLINE).into())
             }
         },
         LogPlace::Report => LogText::Inline(text.clone()),

@@ -125,7 +125,7 @@ impl Worker {
                     away = Stopwatch::start();
                     CallError::Unreachable {
                         url: config.join.clone(),
-                        message: "it ended the session".into(),
+                        message: "the session ended".into(),
                         why: Why::Away,
                     }
                 }
@@ -143,7 +143,7 @@ impl Worker {
             if config.patience.is_some_and(|patience| away.elapsed() > patience) {
                 break Err(is_gone.into());
             }
-            tracing::info!(error = %is_gone, ?pause, "coordinator is away");
+            tracing::info!(error = %is_gone, ?pause, "coordinator unreachable; trying again after a pause");
             tokio::select! {
                 biased;
                 () = tokio::time::sleep(pause) => pause = (2 * pause).min(Self::LONGEST_PAUSE),

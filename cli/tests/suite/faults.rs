@@ -433,7 +433,7 @@ fn done(fault: Fault, point: &str) -> (Frames, Duration) {
         WorkerKilled => worker_killed(point, 0),
         WorkerKilledWithResult => worker_killed(point, 1),
         WorkerStopped => worker_stopped(point),
-        LinkCut => link(point, Proxy::cut, |said| said.contains("coordinator is away")),
+        LinkCut => link(point, Proxy::cut, |said| said.contains("coordinator unreachable")),
         LinkFrozen => link(point, Proxy::freeze, is_silent),
         LinkFrozenOneWay(way) => link(point, |proxy| proxy.freeze_way(way), is_silent),
         RenderKilled => render_killed(point),

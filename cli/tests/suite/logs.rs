@@ -16,13 +16,19 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
     let all = place.run(&format!("logs {job} --json --server {url}")).exits(0).json();
     assert_eq!(all.as_array().map(Vec::len), Some(10));
     let one = place.run(&format!("logs {job} 2.0/render.0/3 --server {url}")).exits(0).stdout();
-    let words =
-        ["2.0/render.0/3 on lab: done", "engine", "512 pixel samples", "MiB at most", "rendered", "shadow_rays="];
+    let words = [
+        "2.0/render.0/3 on lab: done",
+        "engine",
+        "512 pixel samples",
+        "peak memory of this process",
+        "rendered",
+        "shadow_rays=",
+    ];
     for said in words {
         assert!(one.contains(said), "{said}: {one}");
     }
     let image = place.run(&format!("logs {job}/1.0/image/0 --server {url}")).exits(0).stdout();
-    assert!(image.contains("the frame is put together") && !image.contains("render."), "{image}");
+    assert!(image.contains("assembled the frame") && !image.contains("render."), "{image}");
     let none = place.run(&format!("logs {job} --failed --server {url}")).exits(0);
     assert_eq!(none.stdout(), "");
     assert!(none.stderr().contains("the job has 10 logs of other attempts"), "{}", none.stderr());

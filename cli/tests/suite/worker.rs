@@ -140,7 +140,7 @@ fn a_worker_without_a_task_ends_by_itself() {
     let job = submit(&place, &url, "--spp 4 --frames 1..3");
     place.run(&format!("watch {job} --server {url}")).exits(0);
     let ran = worker.end().exits(0);
-    assert!(ran.stderr().contains("no task for so long"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("idle limit reached"), "{}", ran.stderr());
     assert_eq!(workers(&place, &url).as_array().map(Vec::len), Some(0));
 }
 
@@ -195,7 +195,7 @@ fn an_outbox_in_use_is_refused_and_the_default_one_is_not() {
     let mut first = place.start(&format!("worker --join {url} --threads 1 --outbox box"));
     first.wait_until("its folder", || place.path("box/lock").exists() && workers(&place, &url)[0].is_object());
     let ran = place.run(&format!("worker --join {url} --threads 1 --outbox box")).exits(1);
-    assert!(ran.stderr().contains("--outbox box: another worker uses it"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("--outbox box: another worker uses this folder"), "{}", ran.stderr());
     let mut others = [1, 2].map(|_| place.start(&format!("worker --join {url} --threads 1 --name same")));
     let count = || workers(&place, &url).as_array().map_or(0, Vec::len);
     others[0].wait_until("both", || count() == 3);

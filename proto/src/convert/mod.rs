@@ -38,7 +38,7 @@ pub enum ConvertError {
         value: i32,
     },
     /// A digest is not 32 bytes long.
-    #[error("{field} is no digest")]
+    #[error("{field} is not a digest of 32 bytes")]
     Digest {
         /// Name of the field.
         field: &'static str,
@@ -51,7 +51,7 @@ pub enum ConvertError {
     },
     /// The protocol version is not supported.
     #[error(
-        "the worker speaks protocol {found}, the coordinator takes {} to {}; {}",
+        "the worker uses protocol {found}, but the coordinator accepts {} to {}; {}",
         crate::OLDEST,
         crate::PROTOCOL,
         if *found > crate::PROTOCOL { "upgrade the coordinator first, then its workers" } else { "upgrade this worker" }

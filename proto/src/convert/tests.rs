@@ -223,7 +223,7 @@ fn the_words_of_a_session_cross_the_wire() {
     let older = wire::Renewed { heartbeat: 3, leases: vec![], intake: 0 };
     let older = wire::ToWorker { message: Some(wire::to_worker::Message::Renewed(older)) };
     let heard = ToWorker::Renewed { heartbeat: 3, leases: vec![], intake: Intake::Open };
-    assert_eq!(ToWorker::try_from(older), Ok(heard), "a coordinator that does not say it");
+    assert_eq!(ToWorker::try_from(older), Ok(heard), "an older coordinator that does not send the field");
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Job { job: JobId(7), spec: Box::new(spec()) });
     for reason in [RevokeReason::Expired, RevokeReason::JobEnded, RevokeReason::Done] {
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Revoke { task: render, epoch, reason });
@@ -366,13 +366,13 @@ fn nonsense_is_refused_by_name() {
     let kind = wire::TaskKey { kind: kinds + 1, ..task(StageKind::Render).into() };
     assert_eq!(TaskKey::try_from(kind), Err(ConvertError::Unknown { field: "stage.kind", value: kinds + 1 }));
     let kind = wire::TaskKey { kind: 0, ..task(StageKind::Render).into() };
-    assert!(TaskKey::try_from(kind).is_err(), "unspecified is no kind");
+    assert!(TaskKey::try_from(kind).is_err(), "unspecified is not a kind");
     for (found, what_to_do) in [(OLDEST - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")] {
         let other = wire::Registration { protocol: found, slots: 1, ..wire::Registration::default() };
         let refused = Registration::try_from(other);
         assert_eq!(refused, Err(ConvertError::Protocol { found }));
         let said = ConvertError::Protocol { found }.to_string();
-        assert!(said.contains(what_to_do) && said.contains(&format!("takes {OLDEST} to {PROTOCOL}")), "{said}");
+        assert!(said.contains(what_to_do) && said.contains(&format!("accepts {OLDEST} to {PROTOCOL}")), "{said}");
     }
     for known in OLDEST..=PROTOCOL {
         let worker = wire::Registration { protocol: known, slots: 1, ..wire::Registration::default() };

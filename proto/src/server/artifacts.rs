@@ -132,7 +132,7 @@ impl Server {
 async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutRequest>) -> Result<Artifact, Status> {
     let first = need("digest", parts.message().await?)?;
     let Part::Digest(announced) = need("digest", first.part)? else {
-        return Err(Status::invalid_argument("the digest comes first"));
+        return Err(Status::invalid_argument("an upload must begin with the digest"));
     };
     let announced = digest("digest", &announced)?;
     server.promised.note(&[announced]).await;
@@ -144,7 +144,7 @@ async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutReques
     };
     while let Some(part) = parts.message().await? {
         let Part::Piece(piece) = need("piece", part.part)? else {
-            return Err(Status::invalid_argument("only one digest"));
+            return Err(Status::invalid_argument("an upload must have only one digest"));
         };
         pass_async(Point::CoordinatorMidUpload).await;
         server.traffic.received.add(piece.len() as u64);

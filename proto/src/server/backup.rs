@@ -41,7 +41,7 @@ async fn try_send(store: &Store, Backup { log, references }: Backup, out: &Sende
     let mut log = tokio::fs::File::from_std(log);
     loop {
         let mut piece = BytesMut::with_capacity(PIECE);
-        let broken = |error: std::io::Error| Status::unavailable(format!("the copy of the log: {error}"));
+        let broken = |error: std::io::Error| Status::unavailable(format!("cannot read the copy of the log: {error}"));
         if log.read_buf(&mut piece).await.map_err(broken)? == 0 {
             return Ok(());
         }
@@ -51,5 +51,5 @@ async fn try_send(store: &Store, Backup { log, references }: Backup, out: &Sende
 
 async fn pass_on(part: Part, out: &Sender) -> Result<(), Status> {
     let reply = wire::BackupReply { part: Some(part) };
-    out.send(Ok(reply)).await.map_err(|_| Status::cancelled("nobody listens"))
+    out.send(Ok(reply)).await.map_err(|_| Status::cancelled("the client is gone"))
 }

@@ -63,14 +63,14 @@ const AT_ONCE: usize = 64;
 
 pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration) -> Result<Collected, Refusal> {
     if grace < LEAST_GRACE {
-        let message = format!("at least {} s: results on their way would be lost", LEAST_GRACE.as_secs());
+        let message = format!("must be at least {} s, or results in transit would be lost", LEAST_GRACE.as_secs());
         return Err(Refusal::Invalid { field: "grace".into(), message });
     }
     let busy = |message: String| Refusal::Unavailable { message };
-    let _alone = server.collecting.try_lock().map_err(|_| busy("another collection of garbage is under way".into()))?;
+    let _alone = server.collecting.try_lock().map_err(|_| busy("another garbage collection is running".into()))?;
     if let Some(wait) = server.promised.is_blind_for() {
         let minutes = wait.as_secs() / 60 + 1;
-        return Err(busy(format!("too much has been uploaded lately to tell garbage; try again in {minutes} min")));
+        return Err(busy(format!("too many recent uploads to identify garbage; try again in {minutes} min")));
     }
     let listing = server.store.listing().await.map_err(|error| store_refusal(&error))?;
     let references = server.question(|reply| Call::References { reply }).await?;

@@ -143,7 +143,7 @@ impl Door {
     fn turn_away(&self, inside: &mut Inside, address: Option<SocketAddr>) {
         if inside.warned.is_none_or(|warned| warned.elapsed() >= Self::WARNS) {
             inside.warned = Some(Instant::now());
-            tracing::warn!(?address, all = inside.all, "too many connections; some are turned away");
+            tracing::warn!(?address, all = inside.all, "too many connections; some are refused");
         }
         if let Some(audit) = &self.audit {
             audit.refused(connecting(address, "ResourceExhausted", "too many connections"));
@@ -229,7 +229,7 @@ impl Idle {
 impl<C> Drop for Admitted<C> {
     fn drop(&mut self) {
         if let Some(audit) = self.audit.take().filter(|_| !self.peer.is_heard()) {
-            let why = "no accepted certificate, or no call that was allowed";
+            let why = "the client sent no accepted certificate or made no permitted call";
             audit.refused(connecting(self.peer.address, "Closed", why));
         }
     }

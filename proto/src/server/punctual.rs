@@ -65,7 +65,7 @@ impl http_body::Body for Punctual {
         }
         self.due.as_mut().poll(cx).map(|()| {
             let seconds = self.patience.as_secs();
-            Some(Err(Status::deadline_exceeded(format!("the request did not come within {seconds} s"))))
+            Some(Err(Status::deadline_exceeded(format!("the request did not arrive within {seconds} s"))))
         })
     }
 

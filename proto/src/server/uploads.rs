@@ -260,7 +260,7 @@ impl Sending {
     }
 
     fn over() -> Refusal {
-        Refusal::Unavailable { message: "the upload is over".into() }
+        Refusal::Unavailable { message: "the upload has ended".into() }
     }
 }
 

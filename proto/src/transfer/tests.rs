@@ -76,7 +76,7 @@ impl Artifacts for Arc<Liar> {
     }
 
     async fn collect(&self, _: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
-        Err(Status::unimplemented("it keeps all"))
+        Err(Status::unimplemented("this store does not delete"))
     }
 }
 
@@ -143,7 +143,7 @@ async fn bytes_of_another_size_than_what_is_known_are_refused_although_their_nam
         let outcome = client(liar.clone()).await.get_exactly(&Artifact { digest, bytes: known }).await;
         assert!(is_mismatch(&outcome, &digest), "{known} bytes: {outcome:?}");
         let heard = liar.heard.lock().unwrap().clone();
-        assert_eq!(heard.got, [(0, Some(known))], "it is asked once: what is damaged stays so");
+        assert_eq!(heard.got, [(0, Some(known))], "a damaged artifact is requested only once");
     }
     // An empty artifact, too.
     let nothing = Artifact::of(b"");
@@ -210,7 +210,7 @@ async fn a_transfer_that_was_cut_is_checked_as_a_whole() {
             true => assert_eq!(outcome.unwrap(), TRUE),
             false => assert!(is_mismatch(&outcome, &artifact.digest), "{second:?}: {outcome:?}"),
         }
-        assert_eq!(liar.heard.lock().unwrap().got, [(0, None), (10, None)], "it goes on at its byte");
+        assert_eq!(liar.heard.lock().unwrap().got, [(0, None), (10, None)], "the transfer resumes at its byte");
     }
 }
 
@@ -289,7 +289,7 @@ async fn an_upload_that_another_gets_on_with_is_not_given_up() {
 
 #[tokio::test(start_paused = true)]
 async fn what_another_left_that_was_not_what_it_said_does_not_spoil_an_upload() {
-    let digest = Digest::of(b"what it said");
+    let digest = Digest::of(b"bytes of this sender");
     let mismatch = || CallError::Refused(Refusal::DigestMismatch { digest });
     let mut patience = Patience::new(Direction::Up);
     patience.after(mismatch()).await.expect_err("all bytes were its own");

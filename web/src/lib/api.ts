@@ -48,8 +48,8 @@ async function ask(path: string, init: RequestInit = {}): Promise<Response> {
     answer = await fetch(path, { credentials: 'same-origin', ...init });
   } catch (error) {
     if (init.signal?.aborted) throw error;
-    const change = 'the page does not send it again: see what has changed once it is live, and repeat it then';
-    const help = init.method === 'POST' ? change : 'the page tries again by itself';
+    const change = 'the page does not send it again: when the page is live, check the state and repeat the action if needed';
+    const help = init.method === 'POST' ? change : 'the page retries automatically';
     throw new ApiError(0, 'unreachable', 'the coordinator does not answer', help);
   }
   if (!answer.ok) throw await failure(answer);

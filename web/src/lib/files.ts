@@ -12,9 +12,9 @@ export interface FileLink {
 
 /** Roles of the files of a frame: label, last part of the URL, and description. */
 const FRAME_FILES: readonly [role: string, label: string, path: string, title: string][] = [
-  ['image', 'EXR', 'image.exr', 'the image, linear'],
-  ['preview', 'PNG', 'preview.png', 'the image under its own exposure'],
-  ['still', 'Still', 'still.png', 'PNG under the exposure of all frames'],
+  ['image', 'EXR', 'image.exr', 'the linear image, EXR'],
+  ['preview', 'PNG', 'preview.png', 'the image with its own exposure, PNG'],
+  ['still', 'Still', 'still.png', 'the image with the exposure of all frames, PNG'],
   ['painted', 'Painted', 'painted.png', 'the painted picture, PNG'],
   ['layer-image', 'Layers', 'layers.exr', 'the layers of the image, EXR'],
   ['statistics', 'Statistics', 'statistics.paths', 'light statistics, for femc paths'],
@@ -52,7 +52,7 @@ export function frameFiles(job: number, number: number, frames: readonly Frame[]
 export function jobFiles(job: number, whole: Frame | null): FileLink[] {
   const files: [string, string, string, string][] = [
     ['clip', 'Clip', 'clip', 'all frames as a clip'],
-    ['sheet', 'Contact sheet', 'sheet.png', 'all frames on one PNG'],
+    ['sheet', 'Contact sheet', 'sheet.png', 'all frames in one PNG'],
   ];
   return files.flatMap(([role, label, path, title]) => {
     const output = whole?.outputs.find((it) => it.role === role);

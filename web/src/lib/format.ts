@@ -76,8 +76,8 @@ interface MeasuredJob extends Measured {
 /** Reasons why the error of a frame may be above the target. */
 const ABOVE: Record<string, string> = {
   rendering: 'still rendering',
-  sample_limit: 'the frame has all samples that a frame may take',
-  estimate: 'it stopped by an estimate, which may miss the target by a little',
+  sample_limit: 'the frame has reached the limit of samples',
+  estimate: 'an estimate stopped the frame, and may miss the target slightly',
 };
 
 /** Formats the error of a job: `7.1 % in frame 3, above the target of 5.0 %: still rendering`. */

@@ -15,13 +15,13 @@ export const isMapped = (show: Show): show is Mapped => (MAPS as readonly string
 /** Measured quantities: title, unit, channel. */
 export const MEASURES: Record<Exclude<Show, 'picture'>, { title: string; unit: string; channel: string }> = {
   luminance: { title: 'Luminance', unit: 'cd/m²', channel: 'Y' },
-  'pixel-error': { title: 'Pixel error', unit: 'standard error of the pixel, relative', channel: 'standard_error' },
-  error: { title: 'Block error', unit: '95 % interval of the block of 16 × 16, ± relative', channel: 'error' },
-  samples: { title: 'Samples', unit: 'samples a pixel', channel: 'samples' },
+  'pixel-error': { title: 'Pixel error', unit: 'relative standard error of the pixel', channel: 'standard_error' },
+  error: { title: 'Block error', unit: '95 % interval of the block of 16 × 16 pixels, ± relative', channel: 'error' },
+  samples: { title: 'Samples', unit: 'samples per pixel', channel: 'samples' },
   deviation: { title: 'Deviation', unit: 'cd/m², standard deviation of a sample', channel: 'deviation' },
-  depth: { title: 'Depth', unit: 'intersections of a path', channel: 'depth' },
-  throughput: { title: 'Throughput', unit: 'left at the end of a path', channel: 'throughput' },
-  difference: { title: 'Difference', unit: 'cd/m², other frame less this one', channel: 'Y' },
+  depth: { title: 'Depth', unit: 'intersections per path', channel: 'depth' },
+  throughput: { title: 'Throughput', unit: 'throughput at the end of a path', channel: 'throughput' },
+  difference: { title: 'Difference', unit: 'cd/m², other frame minus this one', channel: 'Y' },
 };
 
 /** Color for a missing value. */

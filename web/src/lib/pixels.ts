@@ -52,22 +52,22 @@ export function decodePixels(buffer: ArrayBuffer): Pixels {
     at += 4;
     return view.getUint32(at - 4, true);
   };
-  if (u32('the magic number') !== MAGIC) throw new Error('these are no pixels of a frame');
+  if (u32('the magic number') !== MAGIC) throw new Error('the answer does not contain the pixels of a frame');
   const version = u32('the version');
-  if (version !== 1) throw new Error(`the pixels are of version ${version}; this page reads version 1: reload it`);
+  if (version !== 1) throw new Error(`the pixels have version ${version}, but this page reads version 1: reload the page`);
   const [width, height, channels] = [u32('the width'), u32('the height'), u32('the number of channels')];
   if (channels > 64 || width * height > 2 ** 31)
-    throw new Error(`a frame of ${width}x${height}, ${channels} channels is too large`);
+    throw new Error(`a frame of ${width}x${height} pixels and ${channels} channels is too large`);
   const names: string[] = [];
   for (let i = 0; i < channels; i++) {
-    const length = u32('a name of a channel');
-    if (at + length > buffer.byteLength) throw new Error('the pixels end early, in a name of a channel');
+    const length = u32('a channel name');
+    if (at + length > buffer.byteLength) throw new Error('the pixels end early, in a channel name');
     names.push(new TextDecoder().decode(new Uint8Array(buffer, at, length)));
     at += length;
   }
   const size = 2 * width * height;
   if (buffer.byteLength !== at + channels * size) {
-    throw new Error(`the pixels have ${buffer.byteLength} bytes; ${at + channels * size} are due`);
+    throw new Error(`the pixels have ${buffer.byteLength} bytes, expected ${at + channels * size}`);
   }
   const planes = new Map<string, Uint16Array>();
   for (const name of names) {

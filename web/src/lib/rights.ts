@@ -12,11 +12,12 @@ function atLeast(me: Me, role: Role): boolean {
 
 /** Returns the reason why an action is not allowed; null if it is. */
 export function refusal(me: Me | null, readOnly: boolean, right: Right): string | null {
-  if (!me) return 'It is not known yet who you are.';
-  if (right.kind === 'audit') return atLeast(me, 'admin') ? null : `You are ${me.role}; this takes an admin.`;
+  if (!me) return 'Your role is not known yet.';
+  const requires = (who: string) => `Your role is ${me.role}. This requires ${who}.`;
+  if (right.kind === 'audit') return atLeast(me, 'admin') ? null : requires('the role admin');
   if (readOnly) return 'The page is set to read-only (top right).';
-  if (right.kind === 'workers') return atLeast(me, 'operator') ? null : `You are ${me.role}; this takes an operator.`;
+  if (right.kind === 'workers') return atLeast(me, 'operator') ? null : requires('the role operator');
   if (atLeast(me, 'operator')) return null;
-  if (!atLeast(me, 'submitter')) return `You are ${me.role}; this takes the job's owner or an operator.`;
-  return right.owner === me.name ? null : `The job is ${right.owner}'s; this takes its owner or an operator.`;
+  if (!atLeast(me, 'submitter')) return requires("the job's owner or an operator");
+  return right.owner === me.name ? null : `The job belongs to ${right.owner}. This requires the job's owner or an operator.`;
 }

@@ -82,7 +82,7 @@ export async function hands({ step, open, claim, equal, farm, jobs, shotsAt }) {
       await page.getByRole('button', { name: 'Line', exact: true }).tap();
       await drag(page, [at(0.3, 0.3), at(0.6, 0.3), at(0.6, 0.7), at(0.3, 0.7), at(0.3, 0.35)]);
       await until(() => (query('lasso') ?? '').split(';').length >= 4, 'the line around pixels is in the address', 5);
-      await page.getByText(/^[\d,]+ pixels chosen$/).waitFor();
+      await page.getByText(/^[\d,]+ pixels selected$/).waitFor();
       equal(await page.getByRole('button', { name: 'Line', exact: true }).getAttribute('aria-pressed'), 'false', 'the line is done');
       // Frames, too, are selected by fingers.
       await live(page, `/jobs/${jobs.drive}`);

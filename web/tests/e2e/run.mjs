@@ -280,7 +280,7 @@ await step('picture: exposure, false color, error, samples, difference, split, a
     ['Luminance', 'cd/m²'],
     ['Pixel error', 'standard error of the pixel'],
     ['Block error', '95 % interval of the block'],
-    ['Samples', 'samples a pixel'],
+    ['Samples', 'samples per pixel'],
   ]) {
     await current.getByRole('button', { name, exact: true }).click();
     await current.locator('.legend', { hasText: unit }).waitFor();
@@ -306,13 +306,13 @@ await step('picture: exposure, false color, error, samples, difference, split, a
   await current.mouse.up();
   await current.keyboard.up('Shift');
   await until(() => (query('lasso') ?? '').split(';').length >= 4, 'the line around pixels is in the address', 5);
-  const chosen = Number((await current.getByText(/^[\d,]+ pixels chosen$/).textContent()).replace(/\D/g, ''));
+  const chosen = Number((await current.getByText(/^[\d,]+ pixels selected$/).textContent()).replace(/\D/g, ''));
   claim(chosen > 20, `${chosen} pixels chosen`);
   await current.getByLabel('beside').selectOption({ label: 'frame 9' });
-  await current.getByLabel('Where the second frame begins').fill('30');
+  await current.getByLabel('Left edge of the second frame').fill('30');
   await until(() => query('split') === '30', 'the split is in the address', 5);
   await current.getByRole('button', { name: 'Difference', exact: true }).click();
-  await current.locator('.legend', { hasText: 'other frame less this one' }).waitFor();
+  await current.locator('.legend', { hasText: 'other frame minus this one' }).waitFor();
   await current.getByLabel('Smoothing').fill('2');
   await accessible('the picture');
   await current.goBack();
@@ -333,7 +333,7 @@ await step('frames: those that are selected are tried again', async () => {
   await visit(`/jobs/${jobs.drive}?frames=3`);
   await current.getByText('1 frame selected').waitFor();
   await current.getByRole('button', { name: 'Check images', exact: true }).click();
-  await current.getByText('1 frame tried again: 3').waitFor();
+  await current.getByText('1 frame retried: 3').waitFor();
   equal((await outputs(4)).state, 'done', 'frame 4');
   await until(async () => (await outputs(3)).state === 'done', 'frame 3 is rendered again', 120);
   // The file of the image says how long it took; that of the picture says nothing of the kind.
@@ -350,8 +350,8 @@ await step('heat maps of light statistics, where there are any', async () => {
   await current.locator('.host canvas').waitFor();
   for (const [name, unit] of [
     ['Deviation', 'standard deviation of a sample'],
-    ['Throughput', 'left at the end of a path'],
-    ['Depth', 'intersections of a path'],
+    ['Throughput', 'throughput at the end of a path'],
+    ['Depth', 'intersections per path'],
   ]) {
     await current.getByRole('button', { name, exact: true }).click();
     await current.locator('.legend', { hasText: unit }).waitFor();
@@ -374,7 +374,7 @@ await step('tasks: a row leads to attempts and logs', async () => {
   await accessible('tasks');
   await current.getByRole('button', { name: 'Close' }).click();
   await current.getByRole('button', { name: 'failed' }).click();
-  await current.getByText('No task fits.').waitFor();
+  await current.getByText('No task matches.').waitFor();
 });
 
 await step('tasks: a table of more than 100,000 scrolls without a long task', async () => {
@@ -440,7 +440,7 @@ await step('logs and settings', async () => {
   await current.locator('details summary').first().click();
   await current.locator('details pre').first().waitFor();
   await current.getByRole('button', { name: 'Failures only' }).click();
-  await current.getByText('No log is kept, or none fits.').waitFor();
+  await current.getByText('No logs, or none matches the filter.').waitFor();
   await accessible('logs');
   await visit(`/jobs/${jobs.drive}/settings`);
   await current.getByText('128 × 72 pixels', { exact: false }).waitFor();
@@ -516,7 +516,7 @@ await step('a job is found by its label, shows its notes, and is deleted after a
   claim(farm.job(draft).state === 'done', 'kept');
   await current.getByRole('button', { name: 'Delete', exact: true }).click();
   await current.getByRole('button', { name: 'Delete the job' }).click();
-  await current.getByText(`There is no job ${draft}`).waitFor();
+  await current.getByText(`Job ${draft} not found`).waitFor();
 });
 
 await step('cancel asks first; a retry takes it up again', async () => {
@@ -565,9 +565,9 @@ await step('keys, ways back, pages that are not there', async () => {
   await current.getByRole('dialog').waitFor();
   await current.keyboard.press('Escape');
   await visit('/nothing/here');
-  await current.getByText('There is no page').waitFor();
+  await current.getByText('Page /nothing/here not found').waitFor();
   await visit('/jobs/999999');
-  await current.getByText('There is no job 999999').waitFor();
+  await current.getByText('Job 999999 not found').waitFor();
   await accessible('a page that is not there');
 });
 

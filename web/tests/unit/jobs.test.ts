@@ -152,8 +152,8 @@ describe('the reason why a task has no log', () => {
   test('is the worker that was lost, the failure, or the lease that was taken back', () => {
     expect(ended('lost')).toContain('lost before');
     expect(ended('lost', 'failed')).toContain('failed attempt');
-    expect(ended('revoked')).toContain('taken back');
+    expect(ended('revoked')).toContain('lease was revoked');
     expect(ended()).toContain('No attempt has ended');
-    expect(noLog(null)).toBe('Asking.');
+    expect(noLog(null)).toBe('Loading.');
   });
 });

@@ -63,7 +63,7 @@ describe('pixels', () => {
   });
 
   test('other magic numbers, versions and sizes are refused in words', () => {
-    expect(() => decodePixels(encode(1, 1, {}, 7))).toThrow('no pixels of a frame');
+    expect(() => decodePixels(encode(1, 1, {}, 7))).toThrow('does not contain the pixels of a frame');
     expect(() => decodePixels(encode(1, 1, {}, MAGIC, 2))).toThrow('reload');
     expect(() => decodePixels(encode(1 << 16, 1 << 16, {}))).toThrow('too large');
   });

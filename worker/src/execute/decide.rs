@@ -16,7 +16,7 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
     if stage.closes.is_none() {
-        return Err(unfit("the job's graph has a decision that closes no loop"));
+        return Err(unfit("invalid job graph: a decide stage closes no loop"));
     }
     let settings: Settings = serde_json::from_str(&task.spec.settings).map_err(unfit)?;
     let mut tiles: Vec<TileErrors> = Vec::new();
@@ -35,14 +35,7 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         RoundVerdict::Done => Decision::Done,
     };
     let bad = tiles.iter().map(|tile| tile.bad).sum::<u64>();
-    tracing::debug!(
-        worst = error.worst,
-        mean = error.mean,
-        unlit = error.unlit,
-        bad,
-        ?decision,
-        "the frame is measured"
-    );
+    tracing::debug!(worst = error.worst, mean = error.mean, unlit = error.unlit, bad, ?decision, "measured the frame");
     let mut product = Product::default();
     let number = task.assignment.task.stage.number;
     let mut readers = task.spec.graph.readers(number).filter(|(_, need)| need.role == Role::Stops);

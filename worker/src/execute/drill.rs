@@ -45,7 +45,7 @@ impl Drill {
         let Settings { drill } = serde_json::from_str(&spec.settings).map_err(unfit)?;
         if drill.numbers == 0 || drill.numbers > Self::MOST || drill.milliseconds > Self::LONGEST {
             return Err(unfit(format!(
-                "a drill has from 1 to {} numbers and takes {} ms at most",
+                "a drill must have 1 to {} numbers and take at most {} ms",
                 Self::MOST,
                 Self::LONGEST
             )));
@@ -71,7 +71,7 @@ pub(super) fn drill(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     let (spec, work) = (&task.spec, &task.assignment.work);
     let drill = Drill::of(spec)?;
     if stage.scope == Scope::Content && spec.content(0) != Some(drill.key(spec)) {
-        return Err(unfit("the job's content is not what its key says"));
+        return Err(unfit("the content of the job does not match its key"));
     }
     task.enter(Phase::Preparing);
     let watch = Stopwatch::start();
@@ -116,7 +116,7 @@ fn looks_at_all(task: &Task, tools: &Tools) -> bool {
 fn add(sums: &mut [u64], bytes: &[u8], times: u64) -> Result<(), FilmError> {
     let (numbers, rest) = bytes.as_chunks::<8>();
     if numbers.len() != sums.len() || !rest.is_empty() {
-        return Err(FilmError::Corrupt("numbers of another drill"));
+        return Err(FilmError::Corrupt("the numbers belong to another drill"));
     }
     for (sum, number) in sums.iter_mut().zip(numbers) {
         *sum = sum.wrapping_add(u64::from_le_bytes(*number).wrapping_mul(times));

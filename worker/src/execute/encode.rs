@@ -201,14 +201,14 @@ pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
 fn thumbnails(task: &Task, stage: &Template, tools: &Tools) -> Result<Frame, Failure> {
     let span = tiles(task, stage, Role::Thumbnail)?;
     let small = tiling(task)?.of_thumbnails();
-    let small = small.ok_or_else(|| unfit("the job's tiles are no whole number of blocks wide"))?;
+    let small = small.ok_or_else(|| unfit("the tile width of the job is not a multiple of the block size"))?;
     let mut frame = Frame::new(small);
     each(task, Role::Thumbnail, tools, |bytes| frame.insert(Tile::decode_thumbnail(bytes)?).map(drop))?;
     let mut places = (span.start as usize..span.end as usize).enumerate();
     match places.find(|&(place, index)| SampleRange::joined(frame.ranges(index)) != Some(expected(task, place))) {
         None => Ok(frame),
         Some((_, index)) => {
-            let message = format!("thumbnail {index} holds the samples {:?}", frame.ranges(index));
+            let message = format!("thumbnail {index} has wrong samples: {:?}", frame.ranges(index));
             Err(Failure::Panicked { message })
         }
     }
@@ -221,7 +221,7 @@ pub(super) fn encode(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         Some(&role @ (Role::Picture | Role::Still)) => Ok(product(stage, role, still(task, tools)?, &watch)),
         Some(Role::Sheet) => Ok(product(stage, Role::Sheet, sheet(task, tools)?, &watch)),
         Some(Role::Clip) => Ok(product(stage, Role::Clip, clip(task, stage, tools)?, &watch)),
-        _ => Err(unfit("the job's graph has a stage that encodes nothing")),
+        _ => Err(unfit("invalid job graph: an encode stage has no output that it can make")),
     }
 }
 
@@ -241,7 +241,7 @@ fn still(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
     each(task, Role::Image, tools, |bytes| {
         let image = exr::decode(std::io::Cursor::new(bytes))?.image;
         if [image.width, image.height] != [width, height] {
-            return Err(FilmError::Corrupt("an image of another size"));
+            return Err(FilmError::Corrupt("the image and the job's film differ in size"));
         }
         picture = Some(curve.picture(&image));
         Ok(())
@@ -258,7 +258,7 @@ fn pictures<'a>(
     let inputs = [artifacts(task, Role::Picture), artifacts(task, Role::Still)].concat();
     let (count, frames) = (inputs.len(), task.spec.frames.len());
     if count != frames {
-        return Err(unfit(format!("{count} pictures of {frames} frames")));
+        return Err(unfit(format!("found {count} pictures for {frames} frames")));
     }
     let batches: Vec<Vec<Artifact>> = inputs.chunks(BATCH).map(<[Artifact]>::to_vec).collect();
     Ok((count as u32, batches.into_iter().flat_map(|batch| decoded(task, &batch, tools))))
@@ -290,7 +290,8 @@ fn sheet(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
 /// Encodes all frames as a clip.
 fn clip(task: &Task, stage: &Template, tools: &Tools) -> Result<Vec<u8>, Failure> {
     let wish: Wish = serde_json::from_str(&stage.options).map_err(unfit)?;
-    let video = wish.video.filter(Video::is_sound).ok_or_else(|| unfit("the stage's options name no clip"))?;
+    let video =
+        wish.video.filter(Video::is_sound).ok_or_else(|| unfit("the stage's options describe no valid clip"))?;
     let (count, pictures) = pictures(task, tools)?;
     let folder = Folder::new().map_err(|error| Failure::Resources { message: error.to_string() })?;
     let path = folder.0.join(&video.name);
@@ -302,7 +303,7 @@ fn clip(task: &Task, stage: &Template, tools: &Tools) -> Result<Vec<u8>, Failure
             ClipError::Film(_) | ClipError::Ffmpeg(_) => broken(&error),
         },
     )?;
-    fs::read(&path).map_err(|error| broken(&format!("the clip is not where it was written: {error}")))
+    fs::read(&path).map_err(|error| broken(&format!("cannot read the encoded clip: {error}")))
 }
 
 /// A temporary folder for an encoder's file; removed on drop.

@@ -15,16 +15,16 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
     task.enter(Phase::Preparing);
     let watch = Stopwatch::start();
     // Any frame with this content will do: its frames do not differ in anything that the solution depends on.
-    let frame = *spec.frames.first().ok_or_else(|| unfit("a first pass of no frame"))?;
+    let frame = *spec.frames.first().ok_or_else(|| unfit("a first pass requires at least one frame"))?;
     let read = tools.cache.scene(spec, &task.client, &tools.fetch)?;
     if !read.settings.method.has_first_pass() {
-        return Err(unfit("the job's graph has a first pass, its method has none"));
+        return Err(unfit("the job's graph has a first pass, but its method has none"));
     }
     let frame_key = read.frame_key(frame)?;
     let method = read.settings.method;
     let key = femc_pipeline::first_pass_key(&frame_key, method, first_pass_steps::blocks(&spec.graph));
     if spec.content(0) != Some(Digest::from_bytes(key)) {
-        return Err(unfit("the job's content is not what its key says"));
+        return Err(unfit("the content of the job does not match its key"));
     }
     let prepared = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
     task.account.prepared(watch.elapsed());
@@ -33,7 +33,7 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
     if stage.needs.is_empty() {
         let needs = femc_pipeline::radiosity::least_bytes(&prepared);
         let surfaces = femc_pipeline::surfaces(&prepared.scene);
-        let what = format!("the first pass of {surfaces} surfaces (--method pt has none)");
+        let what = format!("the first pass of {surfaces} surfaces (--method pt needs none)");
         tools.memory.holds(needs, &what)?;
     }
     let solving = Stopwatch::start();
@@ -91,7 +91,7 @@ pub(super) fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) 
     if refused > 0 {
         tracing::debug!(
             links = refused,
-            "not as exact as asked for: their elements may not be cut further, being small enough or for want of memory"
+            "links below the requested accuracy: their elements are too small to be split, or memory is short"
         );
     }
 }

@@ -64,7 +64,7 @@ pub(super) fn step(
         let found = found(task, tools, &mut lost)?;
         solution(task, stage, tools, (world, watch), (&underway, found), &mut product)?;
     } else {
-        return Err(unfit("the job's graph has a step of a first pass that there is not"));
+        return Err(unfit("invalid job graph: unknown first-pass step"));
     }
     if task.is_cancelled() { Err(Failure::Cancelled) } else { Ok(product) }
 }
@@ -85,7 +85,7 @@ fn settle(
     let rays = artifacts(task, Role::Rays);
     let others = || Failure::LostInputs {
         digests: rays.iter().map(|artifact| artifact.digest).collect(),
-        message: "the rays of the first pass are of other elements".into(),
+        message: "the rays of the first pass belong to other elements".into(),
     };
     let settled = settled.map_err(failed)?.ok_or_else(others)?;
     let (underway, report) = (settled.underway(), settled.underway().report());
@@ -159,11 +159,11 @@ fn underway(task: &Task, tools: &Tools, (_, prepared): World<'_>, lost: &mut Los
     let [elements, links] = [Role::Elements, Role::Links].map(|role| artifacts(task, role));
     let [(elements, of_elements)] = &lost.fetch(task, &elements, tools)?[..] else {
         lost.verdict()?;
-        return Err(unfit("a step of a first pass reads the elements of one step"));
+        return Err(unfit("invalid job graph: a first-pass step must read the elements of exactly one step"));
     };
     let [(links, of_links)] = &lost.fetch(task, &links, tools)?[..] else {
         lost.verdict()?;
-        return Err(unfit("a step of a first pass reads the links of one step"));
+        return Err(unfit("invalid job graph: a first-pass step must read the links of exactly one step"));
     };
     let decoded = tools.install(task, || Underway::decode(prepared, of_elements, of_links));
     decoded.map_err(|error| damaged(&[*elements, *links], error))

@@ -13,7 +13,7 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     task.enter(Phase::Preparing);
     let watch = Stopwatch::start();
     if task.assignment.work.more == More::Rounds {
-        return Err(unfit("the job's graph has an image that decides on rounds; a decision does that"));
+        return Err(unfit("invalid job graph: an image stage cannot decide on rounds; a decide stage must do this"));
     }
     let read = tools.cache.scene(&task.spec, &task.client, &tools.fetch)?;
     task.enter(Phase::Working);
@@ -32,9 +32,9 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     let text = |value: Option<&Allocation>| value.map(serde_json::to_string).transpose().map_err(unfit);
     let (count, bytes) = work.artifacts().fold((0, 0), |(n, sum), input| (n + 1, sum + input.bytes));
     let spp = image.mean_spp();
-    tracing::debug!(inputs = count, bytes, spp, seconds = watch.seconds(), "the frame is put together");
+    tracing::debug!(inputs = count, bytes, spp, seconds = watch.seconds(), "assembled the frame");
     let error = tools.install(task, || image.error());
-    tracing::debug!(error = error.worst, bad = bad.total(), "the frame is measured");
+    tracing::debug!(error = error.worst, bad = bad.total(), "measured the frame");
     let provenance = Provenance {
         version: env!("CARGO_PKG_VERSION").into(),
         engine: crate::engine().into(),
@@ -75,7 +75,7 @@ fn pictures(image: &FrameImage, provenance: &Provenance) -> Result<(Vec<u8>, Vec
 }
 
 pub(super) fn damaged_picture(error: &FilmError) -> Failure {
-    Failure::Panicked { message: format!("the image cannot be written: {error}") }
+    Failure::Panicked { message: format!("cannot encode the image: {error}") }
 }
 
 /// Returns the resolved pixels of all tiles, the count of rejected samples, and the sample range of each tile.

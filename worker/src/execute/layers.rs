@@ -50,7 +50,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
             if samples.is_some_and(|samples| (samples.start, samples.end) == (begin, given)) {
                 piece.put(&all, ends).map_err(|error| error.to_string())
             } else {
-                Err(format!("tile {tile} holds the layers of samples {samples:?}, not {begin}..{given}"))
+                Err(format!("tile {tile} has layers of samples {samples:?}, expected {begin}..{given}"))
             }
         });
         if let Err(message) = united {
@@ -63,7 +63,7 @@ pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     lost.verdict()?;
     let mut product = Product::default();
     product.put(stage, Role::LayerPixels, || tools.install(task, || piece.encode()));
-    tracing::debug!(tiles = span.len(), seconds = watch.seconds(), "layers are united");
+    tracing::debug!(tiles = span.len(), seconds = watch.seconds(), "combined the layers");
     product.result.seconds = watch.seconds();
     Ok(product)
 }
@@ -85,7 +85,7 @@ pub(super) fn of_frame(
     let account = |piece: &BesidePiece| (piece.tiling(), piece.tiles(), piece.samples().to_vec());
     groups(task, Role::LayerPixels, tools, BesidePiece::decode, account, |piece| {
         if (piece.light.is_some(), piece.features.is_some()) != has {
-            return Err(FilmError::Corrupt("layers or features that the job has not, or that are not there"));
+            return Err(FilmError::Corrupt("the layers or features do not match the job's settings"));
         }
         piece.light.iter().try_for_each(|piece| LayerImage::put(&mut light, piece))?;
         piece.features.iter().try_for_each(|piece| features.put(piece))
@@ -94,12 +94,7 @@ pub(super) fn of_frame(
     let names = if has.1 { feature_channels(&settings.features) } else { Vec::new() };
     let features: Vec<(String, Vec<f32>)> = names.into_iter().zip(features.channels).collect();
     let file = tools.install(task, || exr::encode_layers(image, &light, &features, &texts, provenance));
-    tracing::debug!(
-        layers = light.len(),
-        features = features.len(),
-        seconds = watch.seconds(),
-        "layers are put together"
-    );
+    tracing::debug!(layers = light.len(), features = features.len(), seconds = watch.seconds(), "assembled the layers");
     file.map_err(|error| damaged_picture(&error))
 }
 

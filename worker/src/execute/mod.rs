@@ -188,6 +188,6 @@ mod tests {
             assert!(matches!(outcome, Err(Failure::Settings { .. })), "{outcome:?}");
         }
         let empty = reduced(Reach::Fan(2), |_| ()).await.unwrap_err().to_string();
-        assert!(empty.contains("tile 0 holds the samples []"), "{empty}");
+        assert!(empty.contains("tile 0 has samples []"), "{empty}");
     }
 }

@@ -19,9 +19,8 @@ pub(super) fn paint(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     task.enter(Phase::Preparing);
     let wish: Wish = serde_json::from_str(&stage.options).map_err(unfit)?;
     let wanted = wish.painting.filter(|painting| painting.is_sound());
-    let wanted =
-        wanted.ok_or_else(|| unfit("the job's graph has a stage that paints in no style that is known here"))?;
-    let style = styles::painting(&wanted.style).ok_or_else(|| unfit("a style that is not known here"))?;
+    let wanted = wanted.ok_or_else(|| unfit("invalid job graph: a paint stage names no valid style"))?;
+    let style = styles::painting(&wanted.style).ok_or_else(|| unfit("this worker does not know the paint style"))?;
     let (style, source) = (style.map_err(unfit)?, styles::source().map_err(unfit)?);
     task.enter(Phase::Working);
     let (mut curve, mut frame) = (ToneCurve::of_levels(&Levels::default()), None);
@@ -30,7 +29,7 @@ pub(super) fn paint(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     each(task, Role::LayerImage, tools, |bytes| {
         let read = GuideFrame::decode(Cursor::new(bytes))?;
         if read.size() != size {
-            return Err(FilmError::Corrupt("layers of another size"));
+            return Err(FilmError::Corrupt("the layers and the job's film differ in size"));
         }
         frame = Some(read);
         Ok(())
@@ -54,7 +53,7 @@ pub(super) fn paint(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
                 let example = Example { style: &style, guides: &guides };
                 femc_stylize::stylize(example, &shown, before.as_ref(), &settings, None, &())
             });
-            let painted = painted.map_err(|error| unfit(format!("the frame cannot be painted: {error}")))?;
+            let painted = painted.map_err(|error| unfit(format!("cannot paint the frame: {error}")))?;
             let figures = painted.figures;
             tracing::debug!(guide_error = figures.guide_error, usage_entropy = figures.usage_entropy, "painted");
             (frames::picture(&painted.image), Brushwork::new(&painted.field, frame.motion(), frame.depth()))

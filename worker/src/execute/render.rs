@@ -21,7 +21,7 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     let grid = task.spec.grid;
     let rect = grid.rect(*item).filter(|_| prepared.camera.film == grid.film);
     let Some(TileRect { x, y, width, height }) = rect else {
-        return Err(unfit("the job's film is not that of its settings"));
+        return Err(unfit("the job's film does not match its settings"));
     };
     let rect = Rect { x, y, width, height };
     task.enter(Phase::Working);

@@ -33,7 +33,8 @@ fn united(task: &Task, tools: &Tools) -> Result<Statistics, Failure> {
             }
         }
     })?;
-    let mut all = all.ok_or_else(|| unfit("the job's graph has a stage that unites no paths"))?;
+    let mut all =
+        all.ok_or_else(|| unfit("invalid job graph: a stage that combines light statistics has no inputs"))?;
     all.settle();
     Ok(all)
 }
@@ -56,7 +57,7 @@ pub(super) fn of_frame(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
         [0, 1].map(|half| PortionKey { tile, half, begin, end: given.min(end(tile, half)) })
     });
     if !wanted.eq(counted.portions.keys().copied()) {
-        let message = "the paths are not those of the samples that count".to_owned();
+        let message = "the light statistics do not belong to the samples that count".to_owned();
         return Err(Failure::Panicked { message });
     }
     tracing::debug!(
@@ -64,7 +65,7 @@ pub(super) fn of_frame(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
         paths = counted.paths.len(),
         share = counted.share(),
         seconds = watch.seconds(),
-        "paths are united"
+        "combined the light statistics"
     );
     Ok(tools.install(task, || counted.encode()))
 }

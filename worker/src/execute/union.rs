@@ -34,7 +34,9 @@ pub(super) fn tiles(task: &Task, stage: &Template, role: Role) -> Result<Range<u
     match stage.needs.iter().find(|need| need.role == role).map(|need| need.reach) {
         Some(Reach::All) => Ok(0..tiles),
         Some(Reach::Fan(fan)) => Ok(item.saturating_mul(fan).min(tiles)..(item + 1).saturating_mul(fan).min(tiles)),
-        Some(Reach::Same | Reach::Previous) | None => Err(unfit("the job's graph has a stage that unites no tiles")),
+        Some(Reach::Same | Reach::Previous) | None => {
+            Err(unfit("invalid job graph: a stage that combines tiles has no tiles as inputs"))
+        }
     }
 }
 
@@ -106,7 +108,7 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
     for (place, index) in (span.start as usize..span.end as usize).enumerate() {
         let (found, expected) = (frame.ranges(index), (begin..given(task, place)).into());
         if SampleRange::joined(found) != Some(expected) {
-            let message = format!("tile {index} holds the samples {found:?}, not {expected:?}");
+            let message = format!("tile {index} has samples {found:?}, expected {expected:?}");
             let Some(digests) = made_of.remove(&Some(index)) else { return Err(Failure::Panicked { message }) };
             lost.digests.extend(digests);
             lost.message = message;
@@ -146,7 +148,7 @@ pub(super) fn groups<T: Send>(
                     |it: &SampleRange, tile| it.end == given(task, tile) && *begin.get_or_insert(it.start) == it.start;
                 let is_whole = tiles.clone().zip(samples).all(|(tile, samples)| is_own(&samples, tile));
                 if of != tiling || tiles.start < past || !is_whole {
-                    return Err(FilmError::Corrupt("tiles of another frame, round or place"));
+                    return Err(FilmError::Corrupt("tiles of another frame, round or position"));
                 }
                 (covered, past) = (covered + tiles.len(), tiles.end);
                 take(group)
@@ -156,7 +158,7 @@ pub(super) fn groups<T: Send>(
     }
     lost.verdict()?;
     let wanted = tiling.count();
-    if covered == wanted { Ok(()) } else { Err(unfit(format!("{covered} tiles are there, the frame has {wanted}"))) }
+    if covered == wanted { Ok(()) } else { Err(unfit(format!("found {covered} tiles, but the frame has {wanted}"))) }
 }
 
 /// Passes all inputs of one role to `take`, in order and in batches. The error names the inputs that are lost or do not fit.

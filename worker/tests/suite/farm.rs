@@ -499,7 +499,7 @@ async fn a_first_pass_under_another_s_key_and_frames_without_one_fail_the_job() 
     let foreign = JobSpec { contents: vec![(3, Digest::of(b"another world"))], ..spec.clone() };
     let graph = common::graph(spec.grid, &settings(Stop::Spp(64)));
     let without = JobSpec { graph, contents: vec![], ..spec };
-    for (spec, said) in [(foreign, "not what its key says"), (without, "a stage of that kind")] {
+    for (spec, said) in [(foreign, "does not match its key"), (without, "it must have a first-pass stage")] {
         let id = submit(&client, (spec, bundle.clone())).await;
         let status = until(&client, id, |_| false).await;
         assert_eq!(status.state, JobState::Failed, "{status:?}");

@@ -40,7 +40,7 @@ fn who_may_call_by_the_documentation_may_call() {
             "submitters" | "the job's owner, if a submitter" => Right::User(Role::Submitter),
             "operators" => Right::User(Role::Operator),
             "admins" => Right::User(Role::Admin),
-            other => panic!("{path}: who are {other:?}?"),
+            other => panic!("{path}: unknown callers {other:?}"),
         };
         assert_eq!(operation(&path).right(), right, "{path}");
     }

@@ -188,7 +188,11 @@ async fn every_role_may_call_what_the_table_says_and_nothing_else() {
                 assert_eq!(code != Code::PermissionDenied, may.contains(&name), "{name} {call}: {code:?}");
             }
             let unknown = code("Jobs/Own").await;
-            assert_eq!(unknown == Code::PermissionDenied, name != "admin", "{name}: what is not named takes an admin");
+            assert_eq!(
+                unknown == Code::PermissionDenied,
+                name != "admin",
+                "{name}: calls outside the table require admin"
+            );
         }
     }
 }
@@ -210,7 +214,7 @@ async fn a_token_that_is_wrong_cut_expired_or_removed_is_refused_with_the_reason
     let pass = farm.authority.token(holder("admin"), 1).unwrap();
     let secret = pass.token().secret();
     let works = farm.bearing(pass.clone()).await.unwrap();
-    assert!(is_in(&works.list().await) && is_in(&works.list().await), "as often as its owner likes");
+    assert!(is_in(&works.list().await) && is_in(&works.list().await), "the owner may repeat calls");
 
     let line = std::fs::read_to_string(farm.authority.tokens()).unwrap();
     let digest = line.split_whitespace().nth(2).unwrap();
@@ -260,7 +264,7 @@ async fn an_open_session_ends_when_its_token_is_removed() {
     farm.authority.revoke("a-worker").unwrap();
     assert!(!caller.still_counts());
     farm.authority.token(holder("worker"), 1).unwrap();
-    assert!(!caller.still_counts(), "another token of the same name is another token");
+    assert!(!caller.still_counts(), "a new token of an old name does not count as the old token");
 }
 
 #[tokio::test]
@@ -286,7 +290,7 @@ async fn who_calls_without_end_is_slowed_down_then_refused_and_others_are_not() 
     // Five calls at once, ten after waiting, and more on a slow machine.
     let most = 15 + 10 * (1 + begun.elapsed().as_secs() as usize);
     assert!((15..=most).contains(&passed), "{passed} passed");
-    assert!(is_in(&bob.list().await), "another caller is another matter");
+    assert!(is_in(&bob.list().await), "limits apply per caller");
 }
 
 #[tokio::test]

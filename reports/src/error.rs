@@ -97,7 +97,8 @@ pub enum ReportError {
     },
     /// Measurements with another setup.
     #[error(
-        "{}: the file contains measurements of another setup; give another file with -o, or move this file away; differences: {differing}",
+        "{}: the file contains measurements of another setup; give another file with -o, or move this file away; differences: \
+         {differing}",
         path.display()
     )]
     MeasuredOtherwise {

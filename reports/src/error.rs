@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A figure cannot be drawn.
-    #[error("a figure cannot be drawn: {0}")]
+    #[error("cannot draw a figure: {0}")]
     Figure(String),
     /// A file cannot be read or written.
     #[error("{}: {cause}", path.display())]
@@ -64,13 +64,13 @@ pub enum ReportError {
         cause: UnionError,
     },
     /// A file of light statistics contains no frame.
-    #[error("{}: no frame is in it", .0.display())]
+    #[error("{}: the file contains no frame", .0.display())]
     NoFrame(PathBuf),
     /// A folder without light statistics.
-    #[error("{}: no .paths file is in it; `femc render --stats` writes them beside frames", .0.display())]
+    #[error("{}: the folder contains no .paths file; `femc render --stats` writes .paths files beside the frames", .0.display())]
     NoStatistics(PathBuf),
     /// Frames of different jobs.
-    #[error("{file}: {cause}; only frames of one job have a union, and a frame has one content in it")]
+    #[error("{file}: {cause}; merge only frames of one job, and a frame only with the same content")]
     Union {
         /// The file that does not fit.
         file: String,
@@ -78,7 +78,7 @@ pub enum ReportError {
         cause: UnionError,
     },
     /// A file does not contain measurements.
-    #[error("{}: no measurements by `femc bench`: {cause}; give another file, or move this one away", path.display())]
+    #[error("{}: not measurements of `femc bench`: {cause}; give another file, or move this file away", path.display())]
     Measurements {
         /// The file.
         path: PathBuf,
@@ -86,7 +86,7 @@ pub enum ReportError {
         cause: serde_json::Error,
     },
     /// Measurements in an unsupported version of the file format.
-    #[error("{}: form {found}, this version writes {own}; give another file", path.display())]
+    #[error("{}: file format version {found}, this program reads version {own}; give another file", path.display())]
     MeasurementsForm {
         /// The file.
         path: PathBuf,
@@ -97,7 +97,8 @@ pub enum ReportError {
     },
     /// Measurements with another setup.
     #[error(
-        "{}: what is in it was measured with something else; give another file with -o, or move this one away. {differing}",
+        "{}: the file contains measurements of another setup; give another file with -o, or move this file away; differences: \
+         {differing}",
         path.display()
     )]
     MeasuredOtherwise {
@@ -110,7 +111,7 @@ pub enum ReportError {
     #[error("--reference {}: no such file; give an EXR image", .0.display())]
     NoReference(PathBuf),
     /// Images of a reference have different sizes.
-    #[error("--reference {named}: its images are of different sizes, {sizes}")]
+    #[error("--reference {named}: the images have different sizes: {sizes}")]
     ReferenceSizes {
         /// Reference, as given.
         named: String,
@@ -119,8 +120,8 @@ pub enum ReportError {
     },
     /// Two files beside a reference have the names of its halves, but are not.
     #[error(
-        "--reference {0}: the files _A and _B beside it are not its halves: their mean is another image; move them away, or \
-         give the halves themselves, A.exr,B.exr"
+        "--reference {0}: the files _A and _B beside it are not its halves: their mean is a different image; move these files \
+         away, or give the halves: A.exr,B.exr"
     )]
     NotHalves(String),
 }

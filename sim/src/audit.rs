@@ -23,7 +23,7 @@ pub enum Violation {
         jobs: usize,
     },
     /// A job did not end within its time.
-    #[error("after {seconds} s it has not ended: {state}")]
+    #[error("the job has not ended after {seconds} s: {state}")]
     Stuck {
         /// Seconds that a person waited.
         seconds: u64,
@@ -37,7 +37,7 @@ pub enum Violation {
         state: String,
     },
     /// The result of a frame (pixels or drill answer) differs from that of a single process.
-    #[error("frame {frame} came out as {found}, not as {expected}")]
+    #[error("frame {frame} has the result {found}, expected {expected}")]
     Result {
         /// Position among the job's frames.
         frame: usize,
@@ -47,7 +47,7 @@ pub enum Violation {
         expected: String,
     },
     /// The log counts a result twice: samples of a tile, or a whole task.
-    #[error("{task} counts twice, in part at least: under epoch {} and under {}", .epochs[0].0, .epochs[1].0)]
+    #[error("{task} counts twice, at least in part: under epoch {} and under epoch {}", .epochs[0].0, .epochs[1].0)]
     Twice {
         /// The task.
         task: TaskKey,
@@ -55,7 +55,7 @@ pub enum Violation {
         epochs: [Epoch; 2],
     },
     /// The log counts a task whose inputs are not done, for example samples of its round.
-    #[error("{task} counts, and step {step} of task {item}, which it reads, does not")]
+    #[error("{task} counts, but its input, step {step} of task {item}, does not")]
     Missing {
         /// The task that reads the input.
         task: TaskKey,
@@ -65,7 +65,7 @@ pub enum Violation {
         step: u32,
     },
     /// A result was acknowledged, but is not in the log.
-    #[error("{task} under epoch {} was acknowledged and is not in the log", .epoch.0)]
+    #[error("{task} under epoch {} was acknowledged, but is not in the log", .epoch.0)]
     Forgotten {
         /// The task.
         task: TaskKey,
@@ -73,7 +73,7 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// The log counts a result without a lease.
-    #[error("{task} under epoch {} counts and was never leased", .epoch.0)]
+    #[error("{task} under epoch {} counts, but was never leased", .epoch.0)]
     Unleased {
         /// The task.
         task: TaskKey,
@@ -81,7 +81,7 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// A result counts although its lease was over, because the task had been leased again.
-    #[error("{task} counts under epoch {}, and was leased anew under {}", .epoch.0, .later.0)]
+    #[error("{task} counts under epoch {}, but was leased again under epoch {}", .epoch.0, .later.0)]
     Superseded {
         /// The task.
         task: TaskKey,
@@ -91,7 +91,7 @@ pub enum Violation {
         later: Epoch,
     },
     /// A result of one engine build counts in a frame of another build.
-    #[error("{task} counts under epoch {}, of the build {build:?} in a frame of the build {frame:?}", .epoch.0)]
+    #[error("{task} counts under epoch {}, with the build {build:?} in a frame of the build {frame:?}", .epoch.0)]
     Foreign {
         /// The task.
         task: TaskKey,
@@ -103,7 +103,7 @@ pub enum Violation {
         frame: String,
     },
     /// A frame changed its engine build without a restart.
-    #[error("frame {frame} of job {job} was of the build {:?} and is of {:?}", .builds[0], .builds[1])]
+    #[error("frame {frame} of job {job} changed its build from {:?} to {:?}", .builds[0], .builds[1])]
     Rebuilt {
         /// The job.
         job: JobId,
@@ -113,7 +113,7 @@ pub enum Violation {
         builds: [String; 2],
     },
     /// A counted result has too few or too many attempt records.
-    #[error("{task} under epoch {} counts, and what it took was noted {times} times", .epoch.0)]
+    #[error("{task} under epoch {} counts, but has {times} attempt records", .epoch.0)]
     Noted {
         /// The task.
         task: TaskKey,
@@ -123,7 +123,7 @@ pub enum Violation {
         times: u64,
     },
     /// An attempt record says that the attempt is done, but the result does not count.
-    #[error("what {task} took under epoch {} was noted as that of a result, and it does not count", .epoch.0)]
+    #[error("an attempt record says that {task} under epoch {} is done, but its result does not count", .epoch.0)]
     NotedForNothing {
         /// The task.
         task: TaskKey,
@@ -131,7 +131,7 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// A job's account differs from what was done.
-    #[error("the account says {found} {what}, it should be {expected}")]
+    #[error("wrong account: {found} {what}, expected {expected}")]
     Account {
         /// Name of the quantity.
         what: &'static str,
@@ -149,7 +149,7 @@ pub enum Violation {
         violation: Box<Violation>,
     },
     /// A quantity grew that should stay constant.
-    #[error("{what} grew from {before} to {after} on the average")]
+    #[error("{what}: the mean grew from {before} to {after}")]
     Growth {
         /// Name of the quantity.
         what: &'static str,
@@ -159,13 +159,13 @@ pub enum Violation {
         after: u64,
     },
     /// A coordinator began with a number that an earlier one had used.
-    #[error("incarnation {incarnation} begins again")]
+    #[error("incarnation {incarnation} was used before")]
     Incarnation {
         /// The number.
         incarnation: u32,
     },
     /// Two leases have the same epoch.
-    #[error("epoch {} is that of {} and of {}", .epoch.0, .tasks[0], .tasks[1])]
+    #[error("epoch {} belongs to {} and to {}", .epoch.0, .tasks[0], .tasks[1])]
     EpochAgain {
         /// The epoch.
         epoch: Epoch,
@@ -173,13 +173,13 @@ pub enum Violation {
         tasks: [TaskKey; 2],
     },
     /// Shared stages were begun again although they existed.
-    #[error("{} is begun, and {} is the same", .jobs[1], .jobs[0])]
+    #[error("the shared stages {} began, but equal ones exist: {}", .jobs[1], .jobs[0])]
     BegunAgain {
         /// The existing instance and the new one.
         jobs: [JobId; 2],
     },
     /// A task was leased before its build had finished the shared stages that it reads.
-    #[error("{task} is leased under epoch {}, and what its frame shares is not there", .epoch.0)]
+    #[error("{task} is leased under epoch {}, but its frame's shared stages are not done", .epoch.0)]
     Unserved {
         /// The task.
         task: TaskKey,
@@ -187,19 +187,19 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// A worker computes a shared stage that no job waits for.
-    #[error("a worker holds {task}, and nobody waits for it")]
+    #[error("a worker holds {task}, but no job waits for it")]
     Unwanted {
         /// The task.
         task: TaskKey,
     },
     /// A new job has the number of an earlier one.
-    #[error("job {job} is submitted, and there was one of this number")]
+    #[error("a new job got the number {job} of an earlier job")]
     Renumbered {
         /// The number.
         job: JobId,
     },
     /// A key refers to two jobs.
-    #[error("the key {key} is that of job {}, and of job {}", .jobs[0], .jobs[1])]
+    #[error("the key {key} refers to job {} and to job {}", .jobs[0], .jobs[1])]
     KeyMoved {
         /// The key.
         key: String,
@@ -207,7 +207,7 @@ pub enum Violation {
         jobs: [JobId; 2],
     },
     /// The log contains a control that nobody requested.
-    #[error("nobody asked for {control:?} of job {job}")]
+    #[error("the log has {control:?} of job {job}, but nobody requested it")]
     Unasked {
         /// The job.
         job: JobId,
@@ -215,7 +215,7 @@ pub enum Violation {
         control: Control,
     },
     /// A control was acknowledged, but is not in the log.
-    #[error("{control:?} of job {job} was acknowledged and is not in the log")]
+    #[error("{control:?} of job {job} was acknowledged, but is not in the log")]
     Unwritten {
         /// The job.
         job: JobId,
@@ -223,7 +223,7 @@ pub enum Violation {
         control: Control,
     },
     /// A control was refused because the job had ended, but it had not.
-    #[error("{control:?} of job {job} was refused because it had ended, and it had not")]
+    #[error("{control:?} of job {job} was refused because the job had ended, but it had not ended")]
     Refused {
         /// The job.
         job: JobId,
@@ -231,7 +231,7 @@ pub enum Violation {
         control: Control,
     },
     /// A result counts although its job had ended.
-    #[error("{task} counts under epoch {}, and its job had ended", .epoch.0)]
+    #[error("{task} counts under epoch {}, but its job had ended", .epoch.0)]
     AfterEnd {
         /// The task.
         task: TaskKey,
@@ -239,25 +239,25 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// A job expired too early.
-    #[error("job {job} was forgotten before its time")]
+    #[error("job {job} expired too early")]
     ForgottenEarly {
         /// The job.
         job: JobId,
     },
     /// A job disappeared without expiring.
-    #[error("job {job} is gone")]
+    #[error("job {job} disappeared")]
     Gone {
         /// The job.
         job: JobId,
     },
     /// A drained worker received a task.
-    #[error("the worker of process {instance} is drained and gets a task")]
+    #[error("the worker of process {instance} is drained, but received a task")]
     Drained {
         /// The worker's process.
         instance: u64,
     },
     /// An answer differs from the log of that time.
-    #[error("somebody was told of job {job}: {what}; the log never said so")]
+    #[error("an answer about job {job} contradicts the log: {what}")]
     Answer {
         /// The job.
         job: JobId,
@@ -265,7 +265,9 @@ pub enum Violation {
         what: String,
     },
     /// An answer reports more failures of a task than the log has, or the task was quarantined too early.
-    #[error("{task} is put aside after {answered} attempts, as somebody was told; by the log it failed {logged} times")]
+    #[error(
+        "an answer says that {task} is quarantined after {answered} attempts, but the log has {logged} failures of it"
+    )]
     Attempts {
         /// The task.
         task: TaskKey,
@@ -275,7 +277,7 @@ pub enum Violation {
         logged: u32,
     },
     /// A quarantined task was leased.
-    #[error("{task} is leased under epoch {}, and was put aside before", .epoch.0)]
+    #[error("{task} is leased under epoch {}, but was quarantined before", .epoch.0)]
     Aside {
         /// The task.
         task: TaskKey,
@@ -283,7 +285,7 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// The attempts of a quarantined task decreased without a retry.
-    #[error("{task} was put aside after {before} attempts, and now after {answered}")]
+    #[error("{task} was quarantined after {before} attempts, now after {answered}")]
     Fewer {
         /// The task.
         task: TaskKey,
@@ -293,7 +295,7 @@ pub enum Violation {
         answered: u32,
     },
     /// The log counts more failures of a task than workers reported. A lease and its copy are one attempt.
-    #[error("the log counts {counted} failed attempts of {task}, and {reported} were reported")]
+    #[error("the log has {counted} failed attempts of {task}, but workers reported {reported}")]
     Failures {
         /// The task.
         task: TaskKey,
@@ -303,13 +305,13 @@ pub enum Violation {
         reported: usize,
     },
     /// A task was reported as stalled, although every task of the simulation makes progress.
-    #[error("{task} is said to have made no progress")]
+    #[error("{task} was reported as stalled")]
     Stalled {
         /// The task.
         task: TaskKey,
     },
     /// The charge of an owner decreased, or differs from the time for which workers held the owner's tasks.
-    #[error("{owner} is charged {held} ms after {before} ms; workers held something of his for {seen} ms")]
+    #[error("{owner} is charged {held} ms after {before} ms, but workers held tasks of this owner for {seen} ms")]
     Charged {
         /// The owner.
         owner: String,
@@ -321,7 +323,7 @@ pub enum Violation {
         seen: u64,
     },
     /// A task was reported to have killed a worker's process, but the process is alive.
-    #[error("process {instance} is said to have died over {task}, and it lives")]
+    #[error("process {instance} was reported as killed by {task}, but it is alive")]
     Alive {
         /// The worker's process.
         instance: u64,
@@ -329,13 +331,13 @@ pub enum Violation {
         task: TaskKey,
     },
     /// A job failed without an explanation.
-    #[error("the job failed, and nothing says why: {status}")]
+    #[error("the job failed without an explanation: {status}")]
     Unexplained {
         /// Status of the job as the farm reports it.
         status: String,
     },
     /// A report was refused because its lease was over, but its worker had not been informed.
-    #[error("the lease of {task} under epoch {} ended, and its worker was not told", .epoch.0)]
+    #[error("the lease of {task} under epoch {} ended, but its worker was not informed", .epoch.0)]
     Silent {
         /// The task.
         task: TaskKey,
@@ -343,7 +345,7 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// The busy time of a frame differs from the sum over its results.
-    #[error("frame {frame} took {answered} ms, as somebody was told; its results took {logged} ms")]
+    #[error("an answer says that frame {frame} took {answered} ms, but its results took {logged} ms")]
     Busy {
         /// Frame number.
         frame: u32,
@@ -353,13 +355,15 @@ pub enum Violation {
         logged: u64,
     },
     /// An artifact that the log references was removed from the store.
-    #[error("{digest} was removed, and the log names it")]
+    #[error("{digest} was removed, but the log references it")]
     Removed {
         /// Digest of the artifact.
         digest: Digest,
     },
     /// After garbage collection, the store has unreferenced artifacts or lacks referenced ones.
-    #[error("after a collection of garbage {left} artifacts are left that nothing names, and {missing} are missing")]
+    #[error(
+        "after garbage collection, {left} artifacts without references are left, and {missing} referenced artifacts are missing"
+    )]
     Garbage {
         /// Artifacts without references.
         left: u64,
@@ -367,14 +371,14 @@ pub enum Violation {
         missing: u64,
     },
     /// A person's upload failed although the store had no fault.
-    #[error("an upload was refused, and nothing was wrong with the farm: {message}")]
+    #[error("an upload was refused although the farm had no fault: {message}")]
     Upload {
         /// Message that the person received.
         message: String,
     },
     /// A result counts although it states a wrong size of an artifact.
     #[error(
-        "{task} counts under epoch {}, and states {} bytes of {}, which has {bytes}",
+        "{task} counts under epoch {}, but states {} bytes for {}, which has {bytes}",
         .epoch.0, .stated.bytes, .stated.digest
     )]
     Size {
@@ -388,7 +392,7 @@ pub enum Violation {
         bytes: u64,
     },
     /// A lease of another farm replaced one of this farm.
-    #[error("{task} under epoch {} is held by who brought a lease of another farm", .epoch.0)]
+    #[error("{task} under epoch {} is held by a worker that brought a lease of another farm", .epoch.0)]
     TakenOver {
         /// The task.
         task: TaskKey,
@@ -396,7 +400,7 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// A request for an artifact returned wrong bytes.
-    #[error("somebody asked for {digest} and got {found}")]
+    #[error("a request for {digest} returned {found}")]
     Delivered {
         /// Digest that was requested.
         digest: Digest,
@@ -404,26 +408,26 @@ pub enum Violation {
         found: Digest,
     },
     /// A snapshot was made although the log was short.
-    #[error("a snapshot was made of {records} records")]
+    #[error("a snapshot was made after only {records} records")]
     Snapshot {
         /// Records of the log since the previous snapshot.
         records: usize,
     },
     /// A snapshot differs from the log that it replaces.
-    #[error("a snapshot is not what the snapshot before it and the {records} records since say")]
+    #[error("a snapshot differs from the previous snapshot plus the {records} records since")]
     SnapshotDiffers {
         /// Records of the log since the previous snapshot.
         records: usize,
     },
     /// A coordinator terminated because the log's disk was full.
-    #[error("a full disk ended a coordinator: {message}")]
+    #[error("a coordinator terminated because the disk was full: {message}")]
     Ended {
         /// Error of the coordinator.
         message: String,
     },
     /// A worker was leased a task that computes although its waiting tasks already take more time than allowed.
     #[error(
-        "at {at:.3?} the worker of process {instance} is leased {task} while it has {count} waiting, which take at least \
+        "at {at:.3?} the worker of process {instance} is leased {task}, but already has {count} waiting tasks, which take at least \
          {milliseconds} ms"
     )]
     Deep {
@@ -441,7 +445,7 @@ pub enum Violation {
     /// A worker on which tasks of a job failed was leased another one before its pause was over.
     #[error(
         "at {at:.3?} the worker of process {instance} is leased {task}, {milliseconds} ms after its first pause began; {failures} \
-         tasks of the job failed there in a row, and the pauses after them are {pause} ms"
+         tasks of the job failed there in a row, so that its pauses are {pause} ms"
     )]
     Hasty {
         /// The worker's process.
@@ -459,7 +463,7 @@ pub enum Violation {
     },
     /// A task that joins waited, while a worker that could take it was leased a task that computes.
     #[error(
-        "at {at:.3?} {task} had waited for {milliseconds} ms, and the worker of process {instance} was leased {other} before it"
+        "at {at:.3?} {task} had waited for {milliseconds} ms, but the worker of process {instance} was leased {other} first"
     )]
     Starved {
         /// The task that joins.
@@ -475,7 +479,7 @@ pub enum Violation {
     },
     /// A drained worker kept a task that it had not begun.
     #[error(
-        "at {at:.3?} the worker of process {instance} has been drained for {milliseconds} ms, and {task} waits there"
+        "at {at:.3?} the worker of process {instance} has been drained for {milliseconds} ms, but {task} still waits there"
     )]
     Kept {
         /// The worker's process.
@@ -488,10 +492,10 @@ pub enum Violation {
         at: Duration,
     },
     /// The log cannot be read.
-    #[error("the log cannot be read: {0}")]
+    #[error("cannot read the log: {0}")]
     Log(#[from] SnapshotError),
     /// The simulation itself failed.
-    #[error("the world broke: {0}")]
+    #[error("the simulation failed: {0}")]
     World(String),
 }
 

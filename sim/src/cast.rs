@@ -287,7 +287,7 @@ async fn send(shared: &Shared, shelf: &Shelf, bytes: &Bytes, seed: u64) {
     if rng.random_range(0..2) == 0 {
         let patience = Duration::from_millis(rng.random_range(20..200));
         if tokio::time::timeout(patience, answer(shared, shared.asks(), &put)).await.is_err() {
-            shared.lock().did("died over an upload");
+            shared.lock().did("abandoned an upload");
         }
     }
     if answer(shared, shared.asks(), &put).await.is_ok() {

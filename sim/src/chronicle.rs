@@ -365,11 +365,11 @@ impl Chronicle {
         let wrong = |what: String| Some(Violation::Answer { job, what });
         let Some(record) = self.jobs.get(&job) else {
             let is_known = self.has_forgotten(job);
-            return if is_known { None } else { wrong("there is such a job".into()) };
+            return if is_known { None } else { wrong("the job exists".into()) };
         };
         let spec = &record.spec;
         if (&status.name, &status.owner, status.frames_total as usize) != (&spec.name, &spec.owner, spec.frames.len()) {
-            return wrong(format!("it is {} of {}", status.name, status.owner));
+            return wrong(format!("the job is {} of {}", status.name, status.owner));
         }
         let frames = status.frames_total;
         let is_so = |standing: Standing| {

@@ -107,9 +107,9 @@ impl Contents {
 pub(crate) fn fact_name(fact: &Fact) -> Option<&'static str> {
     match fact {
         Fact::Shared { .. } => Some("shared stages begun"),
-        Fact::Restarted { job, .. } if job.is_shared() => Some("shared stages begun anew"),
-        Fact::Controlled { job, .. } if job.is_shared() => Some("shared stages tried again"),
-        Fact::Forgotten { job } if job.is_shared() => Some("shared stages forgotten"),
+        Fact::Restarted { job, .. } if job.is_shared() => Some("shared stages restarted"),
+        Fact::Controlled { job, .. } if job.is_shared() => Some("shared stages retried"),
+        Fact::Forgotten { job } if job.is_shared() => Some("shared stages expired"),
         _ => None,
     }
 }

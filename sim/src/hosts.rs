@@ -84,7 +84,7 @@ impl WorkerDisk {
             let what = match state.rng.random_range(0..8) {
                 0 => "kept result lost",
                 1 => "kept result torn",
-                _ => "kept result brought along",
+                _ => "kept result survived a restart",
             };
             state.fired(what);
             if what == "kept result torn" {
@@ -145,7 +145,7 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
                     shared.lock().wrong.push(Violation::Ended { message: error.to_string() });
                 }
             }
-            () = dethroned => shared.note(|| format!("c{host} leads no more")),
+            () = dethroned => shared.note(|| format!("c{host} no longer leads")),
         }
         tokio::time::sleep(Duration::from_millis(200)).await;
     }

@@ -55,7 +55,10 @@ fn soak(args: &Args) -> anyhow::Result<ExitCode> {
     let soaked = soak.run(|gauge| {
         let Gauge { hours, seconds, jobs_ended, resident_bytes, ends, .. } = gauge;
         let memory = *resident_bytes as f64 / f64::from(1 << 20);
-        eprintln!("{hours:6.2} h of {:.2} after {seconds:.0} s: {jobs_ended} jobs, {memory:.1} MiB, {ends} ends of connections", args.hours);
+        eprintln!(
+            "{hours:6.2} h of {:.2} after {seconds:.0} s: {jobs_ended} jobs, {memory:.1} MiB, {ends} connection ends",
+            args.hours
+        );
     })?;
     soaked.story.iter().for_each(|line| println!("{line}"));
     if args.json {

@@ -17,9 +17,9 @@ use serde::{Deserialize, Serialize};
     name = "femc-sim",
     after_help = "Examples:\n  \
     femc-sim --seeds 2000\n  \
-    femc-sim --from 1234 --seeds 1 --story    # every message of one world\n  \
+    femc-sim --from 1234 --seeds 1 --story    # all messages of one world\n  \
     femc-sim soak --hours 24                  # one world for a day\n\n\
-    Exit code 1 if a world went wrong; its seed is printed, and goes wrong again.",
+    Exit code 1 if a world violated a guarantee. Its seed is printed; rerun the seed to reproduce the violation.",
     args_conflicts_with_subcommands = true
 )]
 struct Args {
@@ -91,7 +91,7 @@ fn main() -> anyhow::Result<ExitCode> {
             wrong.iter().for_each(|violation| println!("  {violation}"));
         }
         println!(
-            "{} seeds, {} wrong; {:.0} simulated s in {:.1} s; {} messages changed nothing",
+            "{} seeds, {} wrong; {:.0} simulated s in {:.1} s; {} stale messages",
             sum.seeds,
             sum.wrong.len(),
             sum.simulated_seconds,
@@ -139,7 +139,7 @@ fn here(args: &Args) -> anyhow::Result<Sum> {
 fn difference(first: &Outcome, second: &Outcome) -> Option<String> {
     let place = || first.story.iter().zip(&second.story).find(|(first, second)| first != second);
     let at = place().map(|(first, second)| format!(": {first} | {second}")).unwrap_or_default();
-    (first.trace != second.trace).then(|| format!("the seed does not give the same world again{at}"))
+    (first.trace != second.trace).then(|| format!("the seed gives different worlds{at}"))
 }
 
 /// Runs the worlds in separate processes, because worlds of one process cannot run in parallel.
@@ -160,7 +160,7 @@ fn elsewhere(args: &Args) -> anyhow::Result<Sum> {
     let mut sum = Sum::default();
     for child in children {
         let output = child.wait_with_output()?.stdout;
-        sum.add(serde_json::from_slice(&output).context("a process did not come to its end")?);
+        sum.add(serde_json::from_slice(&output).context("a process did not finish")?);
     }
     Ok(sum)
 }

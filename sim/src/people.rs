@@ -126,7 +126,7 @@ impl Person<'_> {
             let followed = tokio::time::timeout(self.manner.patience, self.follows(asked, job, errand)).await;
             // If the log is lost, the job is lost, too.
             if self.shared.is_over(asked) {
-                self.shared.lock().did("submitted anew");
+                self.shared.lock().did("submitted again");
                 continue;
             }
             let wrong = match followed {
@@ -182,7 +182,7 @@ impl Person<'_> {
         }
         let now = self.shared.asks();
         if let Ok(again) = self.submission(&errand.key, &errand.spec, &errand.stage.bundle).await {
-            self.shared.lock().did("came again with a job that had ended");
+            self.shared.lock().did("submitted an ended job again");
             self.shared.hears_job(now, &errand.key, again);
         }
     }
@@ -194,7 +194,7 @@ impl Person<'_> {
             return;
         }
         if let Ok(again) = self.submission(&errand.key, &errand.spec, &errand.stage.bundle).await {
-            self.shared.lock().did("submitted again what was under way");
+            self.shared.lock().did("submitted a running job again");
             self.shared.hears_job(now, &errand.key, again);
         }
     }
@@ -243,7 +243,7 @@ impl Person<'_> {
             let put = async |client: Client| client.put(errand.stage.bundle.clone()).await;
             let _ = answer(self.shared, asked, &put).await;
             if self.steer(asked, job, Control::Retry).await.is_ok() {
-                self.shared.lock().did("retried what failed");
+                self.shared.lock().did("retried a failed job");
                 if expected == Expected::Cancelled {
                     expected = Expected::Either;
                 }
@@ -289,7 +289,7 @@ impl Person<'_> {
             match status {
                 Ok(status) if status.state.has_ended() => return Some(status),
                 Err(Refusal::NoSuchJob { .. }) => {
-                    self.shared.lock().did("forgotten before anybody looked");
+                    self.shared.lock().did("expired before anybody looked");
                     return None;
                 }
                 Ok(_) | Err(_) => tokio::time::sleep(self.manner.look).await,
@@ -313,7 +313,7 @@ impl Person<'_> {
         let harm = [Harm::Lost, Harm::Flipped, Harm::Short(thousandths), Harm::Zeroed(thousandths)][harm];
         self.shared.lock().harmed.insert(result.digest);
         if self.shelf.harm(&result.digest, harm) {
-            self.shared.lock().did("found a finished result damaged");
+            self.shared.lock().did("damaged a finished result");
         }
     }
 
@@ -433,7 +433,7 @@ pub(crate) fn some(frames: &[u32], most: usize, rng: &mut SmallRng) -> Vec<u32> 
 }
 
 fn over() -> Refusal {
-    Refusal::Unavailable { message: "the log is gone".into() }
+    Refusal::Unavailable { message: "the log was lost".into() }
 }
 
 /// Sends a request to the leading coordinator until it answers, also with a refusal. Stops when the log of the question is lost.

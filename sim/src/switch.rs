@@ -97,7 +97,7 @@ async fn relay(session: Session, shared: Shared) {
                 ToWorker::Assign(lease) => {
                     let mut state = shared.lock();
                     if lease.copy_of.is_some() {
-                        state.fired("given out twice");
+                        state.fired("lease copied");
                     }
                     let leased = state.leases.assigned(&engine, lease);
                     let incarnation = (lease.epoch.0 >> LEASE_BITS) as u32;
@@ -151,7 +151,7 @@ async fn relay(session: Session, shared: Shared) {
     }
     shared.lock().turns(number, &BTreeSet::new(), joined);
     shared.lock().queues.left(number);
-    shared.note(|| format!("{name} is cut off"));
+    shared.note(|| format!("{name} disconnects"));
 }
 
 impl State {
@@ -207,7 +207,7 @@ async fn pass(word: FromWorker, up: &Outgoing, shared: &Shared) {
         (state.chance(twice), state.chance(late))
     };
     if is_twice || is_late {
-        shared.lock().fired(if is_twice { "came twice" } else { "came late" });
+        shared.lock().fired(if is_twice { "sent twice" } else { "sent late" });
         let (again, up, pause) = (word.clone(), up.clone(), shared.pause(LATE));
         tokio::spawn(async move {
             tokio::time::sleep(pause).await;

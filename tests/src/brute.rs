@@ -254,7 +254,10 @@ impl Fog {
     fn of(scene: &Scene) -> Option<Self> {
         let region = scene.regions.first()?;
         let medium = &scene.media[region.medium.index()];
-        assert!(scene.regions.len() == 1 && region.bounds == RegionBounds::Everywhere, "one medium everywhere");
+        assert!(
+            scene.regions.len() == 1 && region.bounds == RegionBounds::Everywhere,
+            "a single medium without bounds"
+        );
         assert!([medium.color, medium.absorption_color] == [[1.0; 3]; 2] && medium.glow == 0.0, "a gray medium");
         let sigma_t = medium.sigma_s + medium.sigma_a;
         Some(Self { sigma_t, albedo: medium.sigma_s / sigma_t, phase: medium.phase })
@@ -274,7 +277,7 @@ impl Fog {
 
 impl Eye {
     fn new(camera: &Camera) -> Self {
-        assert!(camera.lens_radius == 0.0 && camera.along.is_none(), "a pinhole that stands still");
+        assert!(camera.lens_radius == 0.0 && camera.along.is_none(), "a pinhole camera that does not move");
         let forward = (camera.target - camera.origin).normalize();
         let right = forward.cross(camera.up).normalize();
         let step = 2.0 * (0.5 * camera.fov).to_radians().tan() / f64::from(camera.film[1]);

@@ -111,7 +111,7 @@ pub fn frame(
 
 /// Ends a tile when the error estimate from its own samples is small enough.
 fn peek(stop: Stop, tiles: &[TileErrors], next: Option<u32>) -> (RoundVerdict, Stops) {
-    let Stop::Error(most) = stop else { panic!("a rule without an error") };
+    let Stop::Error(most) = stop else { panic!("expected a stop criterion with an error") };
     let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
     let floor = FrameError::of(blocks().map(|it| it.block).collect()).floor;
     let is_enough = |tile: &TileErrors| {

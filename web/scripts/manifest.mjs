@@ -1,7 +1,6 @@
 /**
- * `web/dist/manifest.sha256`: what the pages were built from, and what they are made of, so that `web/check` sees
- * without Node whether
- * the one belongs to the other. Lines as `sha256sum` writes them, paths relative to `web/`.
+ * Writes `web/dist/manifest.sha256`, the digests of the sources and of the built pages. `web/check` uses them to check
+ * without Node that the pages match the sources. The lines have the format of `sha256sum`, with paths relative to `web/`.
  */
 import { createHash } from 'node:crypto';
 import { readdirSync, readFileSync, writeFileSync } from 'node:fs';

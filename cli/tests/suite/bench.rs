@@ -138,7 +138,7 @@ fn a_file_measured_with_something_else_is_refused_with_what_differs() {
     place.run(&format!("{line} --threads 1")).exits(0);
     let before = place.read("bench.json");
     for (flags, said) in [
-        ("--threads 2", "threads: 1 there, 2 here"),
+        ("--threads 2", "threads: 1 in the file, 2 now"),
         ("--threads 1 --set medium.fog.sigma_s=0.5", "fog: scene's content: "),
         ("--threads 1 --max-depth 3", "fog: settings: "),
     ] {
@@ -153,7 +153,7 @@ fn a_file_measured_with_something_else_is_refused_with_what_differs() {
     assert_eq!(place.read("bench.json"), before, "what was refused changes nothing");
     place.write("bench.json", "{}");
     let ran = place.run(&line.replace("ref.exr", "ref_A.exr,ref_B.exr")).exits(1);
-    assert!(ran.stderr().contains("no measurements by `femc bench`"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("not measurements of `femc bench`"), "{}", ran.stderr());
 }
 
 #[test]
@@ -162,7 +162,7 @@ fn wrong_usage_names_what_there_is() {
     place.write("b.mgf", common::FOG);
     for (line, said) in [
         ("bench fog.mgf", "--reference"),
-        ("bench fog.mgf --reference ref.exr --methods pt,magic", "there are: pt, adaptive"),
+        ("bench fog.mgf --reference ref.exr --methods pt,magic", "methods: pt, adaptive"),
         ("bench fog.mgf --reference ref.exr --spp 1,0", "--spp"),
         ("bench fog.mgf --reference ref.exr --error 20", "--error"),
         ("bench fog.mgf --reference ref.exr --seeds 0", "--seeds"),

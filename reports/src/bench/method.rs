@@ -27,10 +27,10 @@ pub enum Budget {
 /// All methods. Add a line for a new one.
 #[rustfmt::skip]
 pub const METHODS: [Method; 4] = [
-    Method { name: "pt", about: "path tracing, as many samples for every pixel", light: femc_pipeline::Method::Pt, budget: Budget::Spp },
-    Method { name: "adaptive", about: "path tracing, each tile until its error is as asked", light: femc_pipeline::Method::Pt, budget: Budget::Error },
-    Method { name: "fem", about: "the finite-element solution alone (biased), as many samples for every pixel", light: femc_pipeline::Method::Fem, budget: Budget::Spp },
-    Method { name: "femc", about: "path tracing guided by the finite-element solution, as many samples for every pixel", light: femc_pipeline::Method::Femc, budget: Budget::Spp },
+    Method { name: "pt", about: "path tracing, the same number of samples for every pixel", light: femc_pipeline::Method::Pt, budget: Budget::Spp },
+    Method { name: "adaptive", about: "path tracing, each tile until it reaches the requested error", light: femc_pipeline::Method::Pt, budget: Budget::Error },
+    Method { name: "fem", about: "only the finite-element solution (biased), the same number of samples for every pixel", light: femc_pipeline::Method::Fem, budget: Budget::Spp },
+    Method { name: "femc", about: "path tracing guided by the finite-element solution, the same number of samples for every pixel", light: femc_pipeline::Method::Femc, budget: Budget::Spp },
 ];
 
 impl Method {
@@ -39,7 +39,7 @@ impl Method {
     pub fn named(name: &str) -> Result<&'static Self, String> {
         METHODS.iter().find(|method| method.name == name).ok_or_else(|| {
             let names: Vec<&str> = METHODS.iter().map(|method| method.name).collect();
-            format!("there is no method `{name}`; there are: {}", names.join(", "))
+            format!("unknown method `{name}` (methods: {})", names.join(", "))
         })
     }
 

@@ -106,6 +106,6 @@ impl Record {
 }
 
 fn told(of: &str, differences: Vec<Difference>) -> Vec<String> {
-    let tell = |(name, there, here): Difference| format!("{of}{name}: {there} there, {here} here");
+    let tell = |(name, there, here): Difference| format!("{of}{name}: {there} in the file, {here} now");
     differences.into_iter().map(tell).collect()
 }

@@ -46,7 +46,7 @@ impl FromStr for Named {
         match parts[..] {
             [file] if !file.is_empty() => Ok(Self::File(file.into())),
             [a, b] if !a.is_empty() && !b.is_empty() => Ok(Self::Halves([a.into(), b.into()])),
-            _ => Err(format!("`{text}`: write REF.exr, or two independent halves of it: A.exr,B.exr")),
+            _ => Err(format!("expected REF.exr, or two independent halves A.exr,B.exr, found `{text}`")),
         }
     }
 }

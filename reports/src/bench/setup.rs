@@ -74,7 +74,7 @@ impl Setup {
             ("cores", &there.cores.to_string(), &self.cores.to_string()),
             ("threads", &there.threads.to_string(), &self.threads.to_string()),
             ("version", &there.version, &self.version),
-            ("build of the engine", &there.engine, &self.engine),
+            ("engine build", &there.engine, &self.engine),
             ("profile", &there.profile, &self.profile),
             ("instructions", &there.instructions, &self.instructions),
         ]

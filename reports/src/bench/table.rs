@@ -73,17 +73,17 @@ pub fn notes(scene: &SceneSummary) -> Vec<String> {
     let mut notes = Vec::new();
     match scene.reference_noise {
         Some(noise) => notes.push(format!(
-            "the reference's own relmse {} and mse {} are taken off; flip and the worst block have its noise in them",
+            "the reference's own relmse {} and mse {} are subtracted; flip and the worst block include its noise",
             digits(noise.relmse),
             digits(noise.mse)
         )),
-        None => notes.push("the reference's own noise is not known and counts as error".to_owned()),
+        None => notes.push("the reference's own noise is unknown and counts as error".to_owned()),
     }
     for point in scene.points.iter().filter(|point| point.noise_share.is_some_and(|share| share > NOISY)) {
         let (method, budget) = (point.method, point.budget);
         let share = percent(point.noise_share.unwrap_or_default());
         notes.push(format!(
-            "{method}, {budget}: {share} of the measured relmse is the reference's noise; take a better one"
+            "{method}, {budget}: {share} of the measured relmse is the reference's noise; use a better reference"
         ));
     }
     notes

@@ -315,8 +315,8 @@ impl fmt::Display for Finding {
             ),
             Self::Deep(row) => write!(
                 f,
-                "long paths:  {}: after 8 intersections {} of the light could still pass, elsewhere {}; {} intersections a path, \
-                 elsewhere {}",
+                "long paths:  {}: after 8 intersections, {} of the light can still pass (elsewhere {}); {} intersections per path \
+                 (elsewhere {})",
                 row.spelled(),
                 percent(row.left.unwrap_or(0.0)),
                 percent(row.left_of_others),
@@ -336,7 +336,7 @@ impl fmt::Display for Finding {
             ),
             Self::Firefly(row) => write!(
                 f,
-                "firefly:     {},{} #{} of {}: {} cd/m2 where the pixel's other samples have {}; by {}",
+                "firefly:     {},{} #{} of {}: {} cd/m2, the other samples of the pixel have {}; caused by {}",
                 row.x,
                 row.y,
                 row.sample,

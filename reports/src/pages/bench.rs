@@ -33,7 +33,7 @@ pub fn page(record: &Record, summary: &Summary) -> Result<String, ReportError> {
         page.section(
             "All scenes",
             &format!(
-                "Relative to {}, geometric means over scenes and over budgets in its measured range: an efficiency above 1 is better.",
+                "Relative to {}: geometric means over scenes and over budgets in its measured range. An efficiency above 1 is better.",
                 first.method
             ),
         );
@@ -51,7 +51,10 @@ pub fn page(record: &Record, summary: &Summary) -> Result<String, ReportError> {
         page.section(&scene.scene, &about);
         page.legend(&legend(scene));
         let plots = |charts, height| draw(charts, HEIGHTS[height]);
-        page.figures(&plots(vec![chart(scene, "relmse", |it| it.relmse)], 0)?, "No error is left to plot.");
+        page.figures(
+            &plots(vec![chart(scene, "relmse", |it| it.relmse)], 0)?,
+            "No point has an error above the reference's noise.",
+        );
         let small = vec![
             chart(scene, "worst block", |it| it.worst),
             chart(scene, "mse, (cd/m2)^2", |it| it.mse),
@@ -64,10 +67,11 @@ pub fn page(record: &Record, summary: &Summary) -> Result<String, ReportError> {
     }
     page.section(
         "How to read this",
-        "Lower and further left is better. Each point is the mean over the seeds of a method with one budget, the band its 95 % \
-         interval. A method that only draws more samples falls along a line of slope -1, on which 1/(relmse s) is constant. Time at \
-         equal relmse is over what the first method needs to the same relmse, between its budgets on straight lines of this plot. The worst block of 16x16 \
-         pixels has the largest relative error of its mean luminance: what `--error` is about.",
+        "Lower and further left is better. Each point is the mean over the seeds for one method and one budget; the band is its 95 % \
+         confidence interval. A method that only draws more samples follows a line of slope -1, on which 1/(relmse s) is constant. \
+         \"Time at equal relmse\" is the method's time divided by the time that the first method needs for the same relmse, \
+         interpolated between its budgets on straight lines of this plot. The worst block of 16x16 pixels has the largest relative \
+         error of its mean luminance; `--error` limits this error.",
     );
     Ok(page.end())
 }
@@ -93,7 +97,7 @@ fn mark(point: &Point, error: Estimate) -> Mark {
         at: (point.seconds.mean, error.mean),
         half_width: error.half_width,
         title: format!(
-            "{}, {budget}: {} in {} s, {} samples a pixel",
+            "{}, {budget}: {} in {} s, {} samples per pixel",
             point.method,
             table::estimate(error),
             table::estimate(point.seconds),

@@ -23,23 +23,23 @@ impl Report {
         let mut page = Page::new(&self.title());
         page.facts(&self.facts(&workers, &attempts));
         if attempts.is_empty() {
-            page.text("No attempt at a task has ended yet.");
+            page.text("No attempt has ended yet.");
             return Ok(page.end());
         }
         page.section(
             "Workers",
-            "Each bar is an attempt at a task; those that lie closer together than can be seen are one.",
+            "Each bar is an attempt. Bars that are too close together to be distinguished are drawn as one.",
         );
         page.figure(&timeline::draw(&attempts)?);
         page.legend(&timeline::LEGEND);
         page.table(By::Worker, &workers);
-        page.section("Durations of tasks", "From the beginning to the result, of tasks that compute.");
-        page.figures(&durations::draw(&attempts)?, "No such task is done yet.");
+        page.section("Durations of tasks", "Time from the beginning to the result, for tasks that compute.");
+        page.figures(&durations::draw(&attempts)?, "No task that computes is done yet.");
         page.section("Error against time", "Relative error of a frame at the end of each round.");
         page.figures(&errors::draw(&attempts)?, "No error has been measured yet.");
-        page.section("Samples", "Samples a pixel of each tile, of results that count.");
+        page.section("Samples", "Samples per pixel of each tile, from results that count.");
         page.figures(&heat::draw(&tasks, &self.records)?, "No tile is done yet.");
-        page.section("Cost", "Processor seconds, attempts that came to nothing included.");
+        page.section("Cost", "Processor seconds, including unsuccessful attempts.");
         if self.records.len() > 1 {
             let variants = of(By::Variant);
             page.figure(&variants::draw(&variants)?);
@@ -48,7 +48,7 @@ impl Report {
             page.figure(&cost::draw(&frames)?);
         }
         page.table(By::Frame, &frames);
-        page.section("Failures", "Attempts that failed, with what their workers wrote down.");
+        page.section("Failures", "Failed attempts, with the logs of their workers.");
         page.failures(&self.records);
         Ok(page.end())
     }
@@ -76,20 +76,16 @@ impl Report {
         let frames: usize = self.records.iter().map(|record| record.spec.frames.len()).sum();
         let attempts_text = match unknown {
             0 => attempts.len().to_string(),
-            _ => format!("{}; what {unknown} of them took is not known", attempts.len()),
+            _ => format!("{}; the usage of {unknown} of them is unknown", attempts.len()),
         };
         vec![
             ("Jobs", self.records.len().to_string()),
             ("Frames", frames.to_string()),
             ("Film", films.join(", ")),
-            ("First attempt to last", seconds(span)),
+            ("From the first to the last attempt", seconds(span)),
             (
                 "Processor",
-                format!(
-                    "{}, of which {} in attempts that came to nothing",
-                    seconds(sum(|row| row.cpu)),
-                    seconds(wasted)
-                ),
+                format!("{}, of which {} in unsuccessful attempts", seconds(sum(|row| row.cpu)), seconds(wasted)),
             ),
             ("Workers", count(workers.len() as u64, "process").replace("processs", "processes")),
             ("Attempts", attempts_text),

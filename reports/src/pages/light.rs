@@ -35,9 +35,9 @@ pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<Str
         ("Frames", names.len().to_string()),
         ("Samples", human::quantity(samples as f64)),
         ("Recorded paths", human::quantity(recorded as f64)),
-        ("Paths with 8 intersections or more", human::percent(findings.deep_samples)),
+        ("Paths with at least 8 intersections", human::percent(findings.deep_samples)),
     ]);
-    page.section("What stands out", "See `femc bottlenecks`.");
+    page.section("Findings", "See `femc bottlenecks`.");
     findings.findings.iter().for_each(|finding| page.text(&finding.to_string()));
     let (titles, cells) = shown(&table::parts(), &findings.parts[..findings.parts.len().min(LINES)]);
     page.cells(&titles, &cells);
@@ -46,7 +46,7 @@ pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<Str
         page.cells(&titles, &cells);
     }
     for ((_, all), name) in frames.iter().zip(&names) {
-        page.section(&format!("Maps of {name}"), "Of all samples of each pixel. Dark: little; bright: much.");
+        page.section(&format!("Maps of {name}"), "All samples of each pixel. Dark: low; bright: high.");
         for map in maps(all) {
             page.picture(&map.title, &map.png()?);
         }
@@ -54,9 +54,9 @@ pub fn html(frames: &[(PathBuf, Statistics)], findings: &Findings) -> Result<Str
             let histograms = Histograms::of(all, table);
             page.section(
                 &format!("Histograms of {} of {name}", table.name()),
-                "Of the recorded paths. Bars: shares of the image; lines: shares of the samples.",
+                "Recorded paths. Bars: fractions of the image; lines: fractions of the samples.",
             );
-            page.figures(&draw(&histograms)?, "Nothing of these is recorded.");
+            page.figures(&draw(&histograms)?, "No such record.");
         }
     }
     Ok(page.end())
@@ -107,7 +107,7 @@ fn maps(all: &Statistics) -> Vec<Map> {
         logarithmic(|it| it.luminance, "Luminance", "cd/m2"),
         logarithmic(|it| it.variance.sqrt(), "Standard deviation of a sample", "cd/m2"),
         linear(|it| it.depth, "Intersections of a path"),
-        linear(|it| it.throughput, "Throughput at its end"),
+        linear(|it| it.throughput, "Throughput at the end of a path"),
     ]
 }
 

@@ -98,7 +98,7 @@ impl Page {
         let (titles, cells) = shown(&columns(by), &rows[..rows.len().min(LINES)]);
         self.cells(&titles, &cells);
         if rows.len() > LINES {
-            self.text(&format!("{} more are left out; `femc stats` has them all.", rows.len() - LINES));
+            self.text(&format!("{} more rows are not shown; `femc stats` shows all rows.", rows.len() - LINES));
         }
     }
 

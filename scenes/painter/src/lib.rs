@@ -42,7 +42,7 @@ pub enum PainterError {
     #[error(transparent)]
     Film(#[from] femc_film::FilmError),
     /// Two files of one frame with different sizes.
-    #[error("{frame} has {found:?} pixels, and its layers have {expected:?}: render both by one command")]
+    #[error("{frame} has {found:?} pixels, but its layers have {expected:?}: render both with one command")]
     OtherSize {
         /// File of the frame.
         frame: std::path::PathBuf,
@@ -52,6 +52,6 @@ pub enum PainterError {
         expected: (u32, u32),
     },
     /// A frame without direct light.
-    #[error("the layer `direct_diffuse` has no light at all: there is nothing to paint")]
+    #[error("the layer `direct_diffuse` contains no light, so there is nothing to paint")]
     Dark,
 }

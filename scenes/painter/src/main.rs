@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 const USAGE: &str = "\
-usage: femc-painter guides FRAME.exr OUT.exr    guides of a frame rendered with `--layers guides`, in one file
+usage: femc-painter guides FRAME.exr OUT.exr    writes the guides of a frame (rendered with `--layers guides`) to one file
        femc-painter paint GUIDES.exr DIR        paints DIR/hatching.png, watercolor.png, oil.png, cel.png";
 
 fn main() -> ExitCode {

@@ -96,7 +96,7 @@ fn scenes() -> Vec<Target> {
         Target::of("manifest", vec![parcel.manifest.to_vec()], move |bytes| {
             let Ok(manifest) = Manifest::decode(bytes) else { return false };
             assert!(manifest.files.keys().all(|name| stays_below(name)));
-            assert_eq!(manifest.encode().as_deref(), Ok(bytes), "one form for one content");
+            assert_eq!(manifest.encode().as_deref(), Ok(bytes), "one encoding for one content");
             testing::is_scene(&manifest, &of_manifests)
         }),
         Target::of("piece of a scene", parcel.pieces.iter().map(|piece| piece.to_vec()).collect(), move |bytes| {
@@ -153,7 +153,7 @@ fn spec() -> JobSpec {
 /// If the path leads elsewhere.
 fn stays_below(name: &str) -> bool {
     let is_odd = |part: &str| matches!(part, "" | "." | "..");
-    assert!(!name.split('/').any(is_odd) && !name.contains(['\\', '\0']), "{name:?} leads elsewhere");
+    assert!(!name.split('/').any(is_odd) && !name.contains(['\\', '\0']), "{name:?} leaves the folder");
     true
 }
 

@@ -137,9 +137,12 @@ impl Case {
         let verdict = if bad > 0 {
             Verdict::Fails(format!("{bad} bad samples"))
         } else if !is_near(&now) {
-            Verdict::Fails(format!("{:+.1} standard errors off, the third time", (now.mean - self.truth) / now.error))
+            Verdict::Fails(format!(
+                "{:+.1} standard errors off in the third measurement",
+                (now.mean - self.truth) / now.error
+            ))
         } else if now.error > wanted {
-            Verdict::Fails(format!("too noisy: {:.1e} is wanted", wanted))
+            Verdict::Fails(format!("too noisy: the limit is {:.1e}", wanted))
         } else {
             Verdict::Holds
         };

@@ -35,7 +35,7 @@ pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
     };
     let one = of(1);
     for threads in [2, 7] {
-        tell(equal(&format!("by {threads} threads"), &one, &of(threads)));
+        tell(equal(&format!("with {threads} threads"), &one, &of(threads)));
     }
 }
 
@@ -131,7 +131,7 @@ fn equal(name: &str, a: &FrameImage, b: &FrameImage) -> Line {
     let differ = bits(a).iter().zip(bits(b)).filter(|(a, b)| **a != *b).count() as u64;
     let pixels = a.color.pixels.len() as u64;
     Line::faults(
-        format!("same: {name}: pixels of other bits"),
+        format!("same: {name}: differing pixels"),
         differ,
         pixels,
         begun.elapsed().as_secs_f64(),
@@ -168,7 +168,7 @@ fn alike(name: &str, a: &str, b: &str, spp: u32) -> Line {
     let bad = pairs.iter().map(|it| it.1).sum();
     let value = mean_b / mean_a;
     let is_near = (value - 1.0).abs() <= 4.0 * error + 1e-5 && bad == 0;
-    let verdict = if is_near { Verdict::Holds } else { Verdict::Fails("not the same".into()) };
+    let verdict = if is_near { Verdict::Holds } else { Verdict::Fails("the means differ".into()) };
     let samples = PAIRS * u64::from(width * height * spp);
     let seconds = begun.elapsed().as_secs_f64();
     Line { name: format!("same: {name}: ratio of the means"), value, error, truth: 1.0, samples, bad, seconds, verdict }

@@ -43,7 +43,10 @@ fn airlight() -> Vec<Case> {
         let text = view + &fog + &black + &format!("ies point.ies -t 0 0 {h}\n");
         let name = format!("airlight of sigma_s {sigma_s}, sigma_t {sigma_t}, {h} m beside, from {start} to {end} m");
         let by_quadrature = single(sigma_s, sigma_t, h, start, end.min(60.0));
-        assert!((truth / by_quadrature - 1.0).abs() < 2e-6, "{name}: {by_quadrature}, not {truth}");
+        assert!(
+            (truth / by_quadrature - 1.0).abs() < 2e-6,
+            "{name}: quadrature gives {by_quadrature}, expected {truth}"
+        );
         Case::new(name, text, truth).file("point.ies", POINT).depth(2).slack(2e-5)
     };
     known.map(case).into()

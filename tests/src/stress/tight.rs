@@ -133,7 +133,7 @@ fn leaks(name: &str, mesh: &Mesh, place: Affine3A, rays: u64) -> Line {
         })
         .sum();
     let seconds = begun.elapsed().as_secs_f64();
-    Line::faults(name, leaks, rays, seconds, "rays get out")
+    Line::faults(name, leaks, rays, seconds, "rays leak")
 }
 
 /// Checks whether ray `index` hits nothing. Rays alternate between any-hit and nearest-hit queries.

@@ -88,7 +88,7 @@ impl Journal {
             match OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path) {
                 Ok(file) => book.page = Page::File(file),
                 Err(error) => {
-                    tracing::warn!(file = %path.display(), %error, "cannot open the journal of running tasks")
+                    tracing::warn!(file = %path.display(), %error, "cannot open the journal of running tasks");
                 }
             }
         }

@@ -148,7 +148,7 @@ async fn a_stopped_coordinator_cannot_be_reached_and_its_log_is_free() {
     assert!(matches!(second, CoordinatorError::Queue(femc_queue::QueueError::InUse { .. })), "{second}");
     let url = farm.url();
     farm.stop().await.unwrap();
-    assert!(!folder.path().join("log.sqlite-wal").exists(), "whoever copies the one file has it all");
+    assert!(!folder.path().join("log.sqlite-wal").exists(), "a copy of the one file is complete");
     assert!(matches!(client.list().await, Err(CallError::Unreachable { .. })));
     assert!(matches!(Client::connect(&url).await, Err(CallError::Unreachable { .. })));
     assert!(matches!(

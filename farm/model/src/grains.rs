@@ -235,7 +235,7 @@ mod tests {
             let planned = Grains::of(&template, 1, None, cut(size));
             assert!(
                 (0..3).all(|task| grains.of_task(task).all(|key| planned.task(key) == task)),
-                "whoever looks at it"
+                "regardless of the view"
             );
         }
     }

@@ -333,7 +333,7 @@ mod tests {
         assert_eq!(lines(&folder.path().join("audit.jsonl.1")).last().unwrap()["job"], first - 1);
         let audit = Audit::with(&path, 1000).unwrap();
         let latest: Vec<u64> = audit.latest(20).unwrap().iter().map(|line| line["job"].as_u64().unwrap()).collect();
-        assert_eq!(latest, (480..500).rev().collect::<Vec<_>>(), "also out of files that were put aside");
+        assert_eq!(latest, (480..500).rev().collect::<Vec<_>>(), "also from rotated files");
         assert!(audit.latest(1000).unwrap().len() < 200, "what is gone is gone");
     }
 }

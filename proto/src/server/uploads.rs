@@ -1,6 +1,6 @@
 //! Uploads in progress, and interrupted uploads, which are kept for a while so that they can resume.
 //!
-//! Uploads are keyed by digest, whoever sends them: the received bytes are checked against the digest at the end. An upload is a
+//! Uploads are keyed by digest, regardless of the sender: the received bytes are checked against the digest at the end. An upload is a
 //! value that belongs to one sender at a time, so senders cannot mix their bytes. An interrupted upload stays here until a sender
 //! resumes it at the right offset. Another sender of the same artifact waits for the first one to finish, and then sends nothing.
 //! The first sender may be slow or stuck. So after a while, a waiting sender gets an upload of its own, as long as there are few

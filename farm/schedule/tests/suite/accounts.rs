@@ -121,7 +121,7 @@ fn only_a_job_that_has_ended_can_be_deleted_and_then_nothing_names_it() {
     finish(&mut farm, 1);
     let commands = farm.control(first, Control::Delete);
     assert_eq!(refused(&commands), None);
-    assert!(commands.contains(&Command::Changed(first)), "whoever watches hears of it");
+    assert!(commands.contains(&Command::Changed(first)), "watchers are informed");
     assert_eq!(farm.scheduler.status(first, farm.now), Err(Refusal::NoSuchJob { job: first }));
     assert_eq!(refused(&farm.control(first, Control::Delete)), Some(Refusal::NoSuchJob { job: first }));
     assert_eq!(farm.state(second), JobState::Done);

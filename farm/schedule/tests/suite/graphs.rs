@@ -307,10 +307,10 @@ fn a_task_that_was_put_aside_in_another_round_gets_no_copy() {
     let leases = |farm: &Farm| farm.held.iter().filter(|(_, held)| held.task.index == 1).count();
     assert_eq!(leases(&farm), 2, "of both rounds");
     farm.fail(other, &second, panic());
-    assert_eq!(leases(&farm), 1, "it is put aside, and what was leased before goes on");
+    assert_eq!(leases(&farm), 1, "it is quarantined, and earlier leases continue");
     farm.wait(60_000);
     let of_other = farm.held.iter().filter(|(_, held)| (held.task.stage.round, held.task.index) == (0, 2)).count();
-    assert_eq!((leases(&farm), of_other), (1, 2), "what is late and not put aside gets one");
+    assert_eq!((leases(&farm), of_other), (1, 2), "a late task that is not quarantined gets one");
 }
 
 #[test]

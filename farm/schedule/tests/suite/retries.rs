@@ -73,7 +73,7 @@ fn a_frame_that_fails_again_needs_as_many_attempts_as_the_first_time() {
     assert_eq!((farm.state(id), farm.status(id).frames_failed), (JobState::Failed, 3));
     let attempts = |frame| {
         let all = farm.status(id).quarantined;
-        all.iter().find(|one| one.task.stage.frame == frame).expect("it is put aside").attempts
+        all.iter().find(|one| one.task.stage.frame == frame).expect("it is quarantined").attempts
     };
     assert_eq!([1, 2, 3].map(attempts), [3, 3, 3]);
 }

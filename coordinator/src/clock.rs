@@ -98,7 +98,7 @@ mod tests {
 
     /// The time source is tokio's clock, which is the machine's monotonic clock. Setting the date does not change it.
     #[tokio::test(start_paused = true)]
-    async fn the_clock_of_a_coordinator_follows_the_time_that_passes_and_not_the_date() {
+    async fn coordinator_clock_follows_elapsed_time_and_not_the_date() {
         let config = Config::default();
         let (scheduler, _) = Scheduler::new(config.scheduler.clone(), Ledger::default());
         let (_asks, watchers) = mpsc::channel(1);

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_standard_error_survives_half_floats_where_its_variance_would_not() {
+    fn standard_error_survives_half_floats_unlike_its_variance() {
         let image = Image { width: 1, height: 1, pixels: vec![[1e-4; 3]] };
         let bytes = encode(&image, &[0.5], &[1e-12], &[4.0]);
         let halves: Vec<f32> = bytes[bytes.len() - 16..]

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_broken_connection_is_followed_by_one_to_the_next_that_takes_it() {
+    async fn broken_connection_is_replaced_by_next_accepting_address() {
         let dial = Dial::by(|host, _| {
             Box::pin(async move {
                 match host.as_str() {

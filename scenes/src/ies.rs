@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn the_road_luminaire_throws_along_and_over_the_road_and_little_behind() {
+    fn road_luminaire_throws_along_and_across_road_little_behind() {
         let n = numbers(&road());
         let nv = n[3] as usize;
         let candela = &n[13 + nv + n[4] as usize..];

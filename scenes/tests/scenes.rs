@@ -83,7 +83,7 @@ fn no_scene_has_a_fault_beyond_a_note() {
 }
 
 #[test]
-fn the_roundabout_is_a_drive_of_120_frames_past_forty_lamps_and_nine_thousand_polygons() {
+fn roundabout_has_120_frames_40_lamps_and_9000_polygons() {
     let scene = load("roundabout.mgf").scene;
     assert_eq!(scene.frame_count(), 120);
     let polygons = polygons(&scene);

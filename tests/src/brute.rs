@@ -319,7 +319,7 @@ mod tests {
     use crate::scene;
 
     #[test]
-    fn a_furnace_has_emittance_over_one_minus_reflectance_also_in_fog_that_absorbs_nothing() {
+    fn furnace_has_emittance_over_one_minus_reflectance_in_fog_too() {
         let furnace = "camera main =\n origin .3 .2 .1\n target 1 .4 0\n fov 60\n film 8 8\nm wall =\n sides 2\n c\n rd .5\n\
              ed 3.14159265358979\nv a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\n\
              prism a b c d -2\n";

@@ -435,7 +435,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failure_is_not_kept_and_one_in_the_making_is_not_waited_for() {
+    fn failure_is_not_cached_and_unfinished_value_is_not_awaited() {
         let shelf: Shelf<u32, u32> = Shelf::new(2);
         assert_eq!(shelf.slot(1).get_or(|| Err(Failure::Cancelled)), Err(Failure::Cancelled));
         let slot = shelf.slot(1);

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lease_is_counted_from_when_the_answered_heartbeat_was_sent_not_from_the_answer() {
+    fn lease_counts_from_sending_of_answered_heartbeat() {
         let start = Instant::now();
         let at = |milliseconds| start + Duration::from_millis(milliseconds);
         let mut claims = Claims::new(start);
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_answer_does_not_name_is_over_and_old_or_invented_answers_change_nothing() {
+    fn unnamed_lease_is_over_and_stale_answers_change_nothing() {
         let start = Instant::now();
         let mut claims = Claims::new(start);
         claims.assigned(key(1), 1600);

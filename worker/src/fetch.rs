@@ -176,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_too_large_for_the_store_is_so_everywhere_and_what_is_too_much_now_is_not() {
+    fn too_large_artifact_is_fatal_and_rate_limit_is_not() {
         let of = |refusal: Refusal| failure(&CallError::Refused(refusal));
         let large = of(Refusal::ArtifactTooLarge { limit: 1 << 30 });
         assert_eq!((large.verdict(), large.cause()), (Verdict::Fatal, "too_large"));

@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_being_computed_when_the_process_died_is_named_until_it_is_told_and_nothing_else_is() {
+    async fn journal_names_only_tasks_at_process_death_until_reported() {
         let place = tempfile::tempdir().unwrap();
         let open = |instance| {
             let journal = Journal::default();
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_computed_when_the_machine_lost_its_power_has_not_killed_it() {
+    async fn tasks_computed_at_power_loss_are_not_blamed() {
         let place = tempfile::tempdir().unwrap();
         let open = |boot: &str, instance| {
             let journal = Journal::default();
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_page_that_is_torn_or_changed_names_nothing_and_one_in_memory_outlives_its_worker() {
+    async fn damaged_page_names_nothing_and_memory_page_outlives_worker() {
         let first = task(1, b"first").await;
         let page = encode("boot", 7, &[first.lease()]).unwrap();
         assert_eq!(decode(&page).map(|(boot, death)| (boot, death.instance)), Some(("boot".into(), 7)));

@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_without_end_keeps_its_beginning_and_its_end_in_the_bytes_that_it_has() {
+    fn endless_log_keeps_beginning_and_end_within_byte_limit() {
         let log = TaskLog::default();
         for number in 0..10_000 {
             log.lock().put(format!("line {number}"));

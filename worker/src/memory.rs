@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_limit_everything_begins_and_this_process_has_a_size_where_the_system_says() {
+    fn tasks_begin_without_memory_limit_and_process_size_is_known() {
         let memory = Memory::default();
         assert!(memory.begin(StageKind::Render, &Cache::default()).is_ok() && memory.has_room_ahead());
         if cfg!(target_os = "linux") {

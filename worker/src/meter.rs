@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn time_goes_to_those_that_compute_else_to_those_that_move_else_to_those_that_wait() {
+    fn time_goes_to_computing_else_moving_else_waiting_tasks() {
         let meter = meter();
         passes(100);
         let (one, two, three) = (meter.open(), meter.open(), meter.open());

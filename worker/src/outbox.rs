@@ -559,7 +559,7 @@ pub(crate) mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_not_acknowledged_is_there_after_a_new_start_and_what_is_is_not() {
+    async fn only_unacknowledged_results_survive_restart() {
         let place = tempfile::tempdir().unwrap();
         let (outbox, restored) = open(&config(place.path())).unwrap();
         assert!(restored.is_empty());
@@ -581,7 +581,7 @@ pub(crate) mod tests {
     }
 
     #[tokio::test]
-    async fn a_torn_or_changed_file_is_left_out_and_removed_and_the_others_are_read() {
+    async fn torn_or_changed_file_is_removed_and_others_are_read() {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
         for index in 1..=3 {
@@ -624,7 +624,7 @@ pub(crate) mod tests {
     }
 
     #[tokio::test]
-    async fn a_result_kept_by_a_program_that_named_tasks_otherwise_is_read_and_goes_when_it_is_acknowledged() {
+    async fn old_named_result_is_read_and_removed_when_acknowledged() {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
         let kept = task(1, b"tile").await;
@@ -677,7 +677,7 @@ pub(crate) mod tests {
     }
 
     #[tokio::test]
-    async fn what_cannot_be_removed_takes_room_as_before_and_what_can_does_not() {
+    async fn unremovable_result_still_takes_room_and_removed_one_does_not() {
         let place = tempfile::tempdir().unwrap();
         let lock = File::create(place.path().join("lock")).unwrap();
         let folder = place.path().to_owned();
@@ -739,7 +739,7 @@ pub(crate) mod tests {
     }
 
     #[tokio::test]
-    async fn an_answer_that_comes_while_a_result_is_handed_over_leaves_no_file() {
+    async fn answer_during_handover_of_result_leaves_no_file() {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
         let (table, first) = (Arc::new(Table::default()), task(1, b"first").await);

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_piece_that_is_not_what_the_manifest_says_is_refused_by_name() {
+    fn piece_that_mismatches_manifest_is_refused_by_name() {
         let parcel = Parcel::pack(&scene()).unwrap();
         let manifest = Manifest::decode(&parcel.manifest).unwrap();
         for (at, bad) in [

@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_outlives_its_worker_and_a_smaller_limit_holds_at_once() {
+    fn folder_outlives_worker_and_smaller_limit_applies_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let first = Pieces::folder(folder.path(), 1000).unwrap();
         (1..=5).for_each(|fill| keep(&first, fill));

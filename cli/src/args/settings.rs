@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_typed_flag_wins_over_the_job_file_and_a_typed_stop_over_any_of_its_stops() {
+    fn typed_flags_and_stopping_rules_override_the_job_file() {
         let job = typed("femc --spp 64 --seed 3 --size 8x8 --set a.b.c=1").expect("settings");
         let both = typed("femc --error 0.2 --seed 4 --set a.b.c=2").expect("settings").over(job);
         assert_eq!((both.spp, both.error, both.seed), (None, Some(0.2), Some(4)));

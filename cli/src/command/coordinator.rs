@@ -351,7 +351,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_store_is_a_file_a_database_or_memory_and_what_is_not_there_yet_says_so() {
+    fn coordinator_options_parse_and_bad_values_are_refused() {
         assert!(matches!(store("sqlite:a/b.db"), Ok(Log::Sqlite(path)) if path == Path::new("a/b.db")));
         assert!(matches!(store("memory"), Ok(Log::Memory)));
         assert!(matches!(store("postgres://ann:secret@host/farm"), Ok(Log::Postgres { .. })));

@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_begins_with_a_minus_reaches_its_own_parser_whichever_option_it_is_of() {
+    fn negative_values_reach_the_parser_of_every_option() {
         let command = with_negative_numbers(with_environment(Cli::command()));
         let mut all = Vec::new();
         commands(&command, &["femc".to_owned()], &mut all);

@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_rows_are_a_line_and_an_odd_one_leaves_the_ground_as_it_is() {
+    fn two_rows_make_one_line_and_an_odd_row_keeps_the_background() {
         let (red, green, blue) = ([255, 0, 0], [0, 255, 0], [0, 0, 255]);
         let picture = Picture { width: 2, height: 3, pixels: vec![red, red, green, green, blue, red] };
         let expected = "\x1b[38;2;255;0;0m\x1b[48;2;0;255;0m▀▀\x1b[0m\n\
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_rendered_is_black_and_the_light_decides_the_exposure() {
+    fn unrendered_pixels_are_black_and_lit_ones_set_the_exposure() {
         let mut image = Image::filled(2, 2, [3.0; 3]);
         image.pixels[0] = [0.0; 3];
         let text = draw(&image, ToneCurve::auto([&image]), Room { columns: 60, lines: 20 });

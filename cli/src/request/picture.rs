@@ -82,7 +82,7 @@ mod tests {
     use femc_film::Picture;
 
     #[test]
-    fn texts_come_back_from_a_file_that_any_reader_takes_and_rubbish_has_none() {
+    fn texts_survive_a_png_round_trip_and_garbage_has_none() {
         let picture = Picture { width: 2, height: 1, pixels: vec![[1, 2, 3], [4, 5, 6]] };
         let png = picture.to_png().expect("a PNG");
         let wanted = [("femc:settings", "{\"ä\":1}"), ("femc:spp", "")].map(|(a, b)| (a.to_owned(), b.to_owned()));

@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fixed_exposure_shows_its_luminance_as_middle_gray_and_an_automatic_one_tells_its_value() {
+    fn fixed_exposure_maps_to_middle_gray_and_auto_reports_its_ev() {
         let curve = Exposure::Ev(7.0).curve(&Levels::default());
         assert!((f64::from(curve.exposure) * 16.0 - MIDDLE_GRAY).abs() < 1e-6, "EV 7 is for 16 cd/m2");
         assert!((ev(curve) - 7.0).abs() < 1e-6);

@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn several_are_named_with_commas_in_any_order_and_each_counts_once() {
+    fn several_frames_are_sorted_and_each_counts_once() {
         assert_eq!(resolved("9,1,5", 10), Ok(vec![1, 5, 9]));
         assert_eq!(resolved("3..5, 4, 1..9+4", 10), Ok(vec![1, 3, 4, 5, 9]));
         assert_eq!("9, 1..2,4-8:2".parse::<Frames>().map(|frames| frames.to_string()), Ok("9,1..2,4..8+2".to_owned()));

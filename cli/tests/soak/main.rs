@@ -31,7 +31,7 @@ fn number(name: &str, default: f64) -> f64 {
 
 #[test]
 #[ignore = "takes FEMC_SOAK_MINUTES, 1 if it does not say; the head of the file has the command"]
-fn a_farm_under_random_faults_loses_nothing_counts_nothing_twice_and_does_not_grow() {
+fn farm_under_random_faults_loses_repeats_and_leaks_nothing() {
     let time = Duration::from_secs_f64(60.0 * number("FEMC_SOAK_MINUTES", 1.0));
     let seed = number("FEMC_SOAK_SEED", 1.0) as u64;
     let farm = Farm::new();

@@ -70,7 +70,7 @@ fn submit(place: &Place, url: &str, more: &[&str]) -> String {
 }
 
 #[test]
-fn the_end_of_a_job_is_posted_until_it_is_taken_signed_and_only_to_where_the_coordinator_allows_it() {
+fn job_end_webhooks_are_signed_retried_and_restricted_by_url() {
     let place = Place::new();
     place.write("key", "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\n");
     let (port, received) = receiver(&["503 Service Unavailable", "302 Found"]);
@@ -113,7 +113,7 @@ fn the_end_of_a_job_is_posted_until_it_is_taken_signed_and_only_to_where_the_coo
 }
 
 #[test]
-fn an_end_that_a_killed_coordinator_has_not_told_is_told_by_the_next_one() {
+fn unsent_job_end_webhook_is_sent_after_coordinator_restart() {
     let place = Place::new();
     place.write("key", "0123456789abcdef0123456789abcdef");
     let closed = TcpListener::bind("127.0.0.1:0").expect("a port");
@@ -157,7 +157,7 @@ fn a_command_runs_at_the_end_of_each_job_and_knows_it() {
 }
 
 #[test]
-fn jobs_are_found_by_their_labels_and_deleted_ones_leave_their_usage() {
+fn jobs_are_found_by_label_and_deleted_jobs_keep_their_usage() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let job =

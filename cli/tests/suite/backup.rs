@@ -5,7 +5,7 @@ use crate::common::{Place, coordinator, coordinator_with, names, pixels, share, 
 const JOB: &str = "--spp 128 --frames 1..4";
 
 #[test]
-fn a_farm_that_is_lost_goes_on_from_its_copy_and_its_frames_are_the_same_to_the_bit() {
+fn restored_farm_resumes_from_backup_with_identical_frames() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let mut worker = place.start(&format!("worker --join {url} --threads 1 --outbox memory"));
@@ -75,7 +75,7 @@ fn a_log_in_memory_has_no_copy_and_the_farm_goes_on() {
 }
 
 #[test]
-fn a_log_that_lost_what_was_acknowledged_is_not_gone_on_with_unless_that_is_said() {
+fn log_without_acknowledged_records_is_refused_unless_forced() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     for frame in 1..=8 {

@@ -28,7 +28,7 @@ fn number(value: &Value) -> f64 {
 /// Checks that a first pass is solved once per method, that its time is part of the frames' times, and that its light is in the
 /// pixels.
 #[test]
-fn methods_with_a_first_pass_are_measured_with_its_light_and_its_seconds() {
+fn first_pass_light_and_seconds_count_in_the_measured_method() {
     let place = with_reference();
     let line = "bench fog.mgf --reference ref.exr --size 24x16 --methods pt,fem,femc --spp 4,16 --seeds 1 --json";
     let document = place.run(line).exits(0).json();
@@ -53,7 +53,7 @@ fn methods_with_a_first_pass_are_measured_with_its_light_and_its_seconds() {
 }
 
 #[test]
-fn errors_fall_with_the_budget_and_are_told_with_their_machine_and_seeds() {
+fn errors_fall_with_budget_and_report_names_machine_and_seeds() {
     let place = with_reference();
     let ran = place.run(&format!("{BENCH} --report page.html")).exits(0);
     for said in ["machine: ", "threads: ", "build: femc ", "seeds: 1 to 3", "4 spp", "error 0.8", "geometric means"] {
@@ -132,7 +132,7 @@ fn what_is_measured_is_kept_and_not_measured_again() {
 }
 
 #[test]
-fn a_file_measured_with_something_else_is_refused_with_what_differs() {
+fn results_of_another_setup_are_refused_with_the_differences() {
     let place = with_reference();
     let line = "bench fog.mgf --reference ref.exr --size 24x16 --methods pt --spp 1 --seeds 1 -o bench.json";
     place.run(&format!("{line} --threads 1")).exits(0);

@@ -30,7 +30,7 @@ fn object<'a>(report: &'a Value, name: &str) -> &'a Value {
 }
 
 #[test]
-fn the_ball_that_makes_the_fireflies_of_a_gallery_is_named_and_not_when_it_is_matte() {
+fn firefly_source_is_named_as_chrome_ball_but_not_when_matte() {
     let place = Place::new();
     let chrome = found(&place, "gallery", &scene("gallery.mgf"), 64);
     let noise = finding(&chrome, "noise").expect("noise");

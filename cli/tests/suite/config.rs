@@ -24,7 +24,7 @@ fn printed(place: &Place, line: &str, environment: &[(&str, &str)]) -> String {
 }
 
 #[test]
-fn a_flag_goes_before_the_environment_the_environment_before_the_file_the_file_before_the_default() {
+fn flags_override_environment_then_file_then_default() {
     let place = Place::new();
     place.write("femc.toml", FILE);
     let lease = [("FEMC_LEASE", "20s")];

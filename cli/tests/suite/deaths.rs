@@ -22,7 +22,7 @@ fn frames(place: &Place, folder: &str) -> Vec<Vec<u32>> {
 }
 
 #[test]
-fn a_task_that_always_kills_its_worker_is_put_aside_and_the_other_frames_are_done() {
+fn task_that_kills_workers_is_quarantined_other_frames_finish() {
     let place = Place::new();
     let (_coordinator, url) = coordinator(&place, 0);
     let job = submit(&place, &url, SETTINGS);
@@ -56,7 +56,7 @@ fn a_task_that_always_kills_its_worker_is_put_aside_and_the_other_frames_are_don
 }
 
 #[test]
-fn workers_killed_by_other_hands_a_few_times_do_no_harm_to_what_they_computed() {
+fn externally_killed_workers_quarantine_no_task() {
     let place = Place::new();
     let (_coordinator, url) = coordinator(&place, 0);
     let job = submit(&place, &url, SETTINGS);

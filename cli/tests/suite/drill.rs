@@ -107,7 +107,7 @@ async fn is_done_once(place: &Place) {
 }
 
 #[test]
-fn what_two_jobs_share_is_solved_once_whoever_is_killed_and_one_of_them_cancelled() {
+fn shared_result_is_solved_once_despite_kills_and_a_cancel() {
     let place = Place::new();
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     let (mut first, url) = coordinator(&place, 0);
@@ -171,7 +171,7 @@ async fn seconds(place: &Place) -> BTreeMap<JobId, Vec<f64>> {
 }
 
 #[test]
-fn who_may_look_at_the_frame_before_saves_time_and_changes_no_byte() {
+fn previous_frame_input_saves_time_and_changes_no_byte() {
     let place = Place::new();
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     let (mut coordinator, url) = coordinator(&place, 0);

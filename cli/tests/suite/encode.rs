@@ -32,7 +32,7 @@ fn frames_of(clip: &[u8]) -> u32 {
 }
 
 #[test]
-fn a_clip_its_stills_and_a_sheet_are_the_same_for_any_number_of_workers_and_the_images_those_without_them() {
+fn clip_outputs_ignore_worker_count_and_leave_images_unchanged() {
     let place = Place::new();
     let settings = format!("{FRAMES} --error 0.3");
     fetched(&place, "one", 1, &format!("{settings} {SHOWN}"));
@@ -67,7 +67,7 @@ fn a_clip_its_stills_and_a_sheet_are_the_same_for_any_number_of_workers_and_the_
 }
 
 #[test]
-fn a_farm_paints_a_clip_frame_by_frame_to_the_same_bytes_for_any_number_of_workers_one_of_which_dies() {
+fn painted_clip_has_same_bytes_for_any_workers_despite_a_kill() {
     let place = Place::new();
     let settings = "--frames 1..4 --size 48x32 --spp 4 --style oil";
     fetched(&place, "one", 1, settings);
@@ -96,7 +96,7 @@ fn a_farm_paints_a_clip_frame_by_frame_to_the_same_bytes_for_any_number_of_worke
 }
 
 #[test]
-fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
+fn clip_waits_for_a_worker_with_ffmpeg_and_has_every_frame() {
     let place = Place::new();
     std::fs::create_dir(place.path("bin")).expect("made");
     place.write(
@@ -135,7 +135,7 @@ fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
 }
 
 #[test]
-fn what_ffmpeg_refuses_fails_the_clip_with_its_own_words_and_no_frame() {
+fn ffmpeg_refusal_fails_the_clip_with_its_message_but_no_frame() {
     let place = Place::new();
     std::fs::create_dir(place.path("bin")).expect("made");
     place.write("bin/ffmpeg", "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no such muxer >&2\nexit 1\n");
@@ -153,7 +153,7 @@ fn what_ffmpeg_refuses_fails_the_clip_with_its_own_words_and_no_frame() {
 
 #[cfg(debug_assertions)]
 #[test]
-fn a_frame_that_fails_is_a_card_in_the_clip_until_a_retry_makes_it() {
+fn failed_frame_is_a_card_in_the_clip_until_it_is_retried() {
     let place = Place::new();
     let (_coordinator, url) = coordinator(&place, 0);
     let job = submit(&place, &url, &format!("{FRAMES} --spp 2 {SHOWN}"));
@@ -190,7 +190,7 @@ fn a_frame_that_fails_is_a_card_in_the_clip_until_a_retry_makes_it() {
 }
 
 #[test]
-fn a_plan_shows_the_graph_that_a_clip_is_submitted_with_and_odd_names_are_refused() {
+fn plan_shows_the_graph_of_a_clip_and_bad_names_are_refused() {
     let place = Place::new();
     let line = format!("plan fog.mgf {FRAMES} --spp 2 --no-trial --video clip.mp4");
     let output = place.run(&line).exits(0).stdout();

@@ -114,7 +114,7 @@ const ANN: [&str; 4] = ["--cert", "cert.pem", "--key", "key.pem"];
 const JSON: [&str; 4] = ["--header", "Content-Type: application/json", "--header", "X-Femc: 1"];
 
 #[test]
-fn curl_does_all_that_the_manual_says_over_both_versions_of_http() {
+fn curl_examples_of_the_manual_work_over_both_http_versions() {
     if !Need::Curl.program() {
         return;
     }
@@ -145,7 +145,7 @@ fn curl_does_all_that_the_manual_says_over_both_versions_of_http() {
 }
 
 #[test]
-fn a_post_that_is_refused_has_its_answer_whole_over_both_versions_of_http() {
+fn refused_post_gets_its_whole_answer_over_both_http_versions() {
     if !Need::Curl.program() {
         return;
     }
@@ -182,7 +182,7 @@ fn a_post_that_is_refused_has_its_answer_whole_over_both_versions_of_http() {
 }
 
 #[test]
-fn headers_above_the_documented_limit_are_refused_over_both_versions_of_http() {
+fn oversized_headers_are_refused_over_both_http_versions() {
     if !Need::Curl.program() {
         return;
     }

@@ -38,7 +38,7 @@ fn a_killed_worker_costs_no_pixel() {
 }
 
 #[test]
-fn frames_whose_tiles_have_their_own_numbers_of_samples_are_those_of_one_process() {
+fn adaptive_tile_frames_equal_one_process() {
     const SETTINGS: &str = "--error 0.02 --size 96x64 --frames 1..2";
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
@@ -67,7 +67,7 @@ fn frames_whose_tiles_have_their_own_numbers_of_samples_are_those_of_one_process
 }
 
 #[test]
-fn a_killed_coordinator_comes_back_with_all_it_had_and_its_worker_joins_again() {
+fn killed_coordinator_resumes_and_its_worker_rejoins() {
     let place = Place::new();
     let (mut first, url) = coordinator(&place, 0);
     let _worker = worker(&place, &url);
@@ -131,7 +131,7 @@ fn a_task_under_way_lives_through_the_coordinator_s_death() {
 }
 
 #[test]
-fn a_worker_that_is_told_to_stop_finishes_its_task_and_leaves_the_rest_to_others() {
+fn stopped_worker_finishes_its_task_and_leaves_the_rest() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let mut leaver = worker(&place, &url);
@@ -184,7 +184,7 @@ fn after_an_edit_only_the_changed_files_are_sent() {
 }
 
 #[test]
-fn a_job_without_a_worker_says_so_and_a_client_may_leave_a_watch() {
+fn job_without_workers_is_reported_and_a_watch_can_be_left() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     let job = submit(&place, &url, "--spp 1 --frames 1");
@@ -307,7 +307,7 @@ fn image(place: &Place, fetched: &str) -> std::path::PathBuf {
 }
 
 #[test]
-fn a_damaged_image_of_a_cancelled_job_is_not_said_to_be_rendered_again_by_itself() {
+fn damaged_image_of_a_cancelled_job_needs_a_retry() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     let mut worker = worker(&place, &url);
@@ -323,7 +323,7 @@ fn a_damaged_image_of_a_cancelled_job_is_not_said_to_be_rendered_again_by_itself
 }
 
 #[test]
-fn a_damaged_image_is_named_and_its_frame_is_rendered_again_by_fetch_and_by_retry() {
+fn damaged_image_is_named_and_rerendered_by_fetch_or_retry() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     let _worker = worker(&place, &url);
@@ -357,7 +357,7 @@ fn a_damaged_image_is_named_and_its_frame_is_rendered_again_by_fetch_and_by_retr
 }
 
 #[test]
-fn a_retry_of_single_frames_reads_their_images_and_leaves_the_others_as_they_are() {
+fn retry_of_selected_frames_leaves_other_frames_unchanged() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     let _worker = worker(&place, &url);
@@ -387,7 +387,7 @@ fn a_retry_of_single_frames_reads_their_images_and_leaves_the_others_as_they_are
 }
 
 #[test]
-fn a_fetch_that_waits_has_all_frames_when_it_ends_and_says_how_the_job_ended() {
+fn waiting_fetch_returns_all_frames_and_the_job_outcome() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     let job = submit(&place, &url, SETTINGS);

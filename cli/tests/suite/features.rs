@@ -16,7 +16,7 @@ fn worker(place: &Place, url: &str) -> Running {
 }
 
 #[test]
-fn features_of_a_farm_are_those_of_one_process_to_the_byte_with_layers_and_without() {
+fn farm_features_equal_one_process_with_and_without_layers() {
     let place = Place::new();
     place.write("fog.mgf", crate::common::FOG);
     let (_farm, url) = coordinator(&place, 0);
@@ -55,7 +55,7 @@ fn features_of_a_farm_are_those_of_one_process_to_the_byte_with_layers_and_witho
 }
 
 #[test]
-fn a_job_file_names_features_and_names_of_features_are_no_layers() {
+fn job_file_names_features_and_feature_names_are_not_layers() {
     let place = Place::new();
     let text = "scene = \"fog.mgf\"\nsize = \"24x16\"\nspp = 4\nframes = 1\nmethod = \"fem\"\nlayers = [\"depth\"]\n";
     place.write("job.toml", text);

@@ -253,7 +253,7 @@ fn cornell() -> String {
 }
 
 #[test]
-fn the_file_of_a_room_keeps_the_format_s_rules_and_has_all_of_it() {
+fn exported_room_is_valid_gltf_and_complete() {
     let place = Place::new();
     place.write("cornell.mgf", &cornell());
     let report = place.run("field cornell.mgf -o room.glb --json").exits(0).json();

@@ -79,7 +79,7 @@ fn the_account_names_what_was_planted() {
 }
 
 #[test]
-fn the_shares_of_an_account_are_all_of_the_variance_and_of_the_light() {
+fn firefly_shares_sum_to_all_variance_and_all_light() {
     let place = Place::new();
     for (name, settings) in [("s.exr", "--spp 7"), ("e.exr", "--error 0.12"), ("t.exr", "--time 1s")] {
         place.run(&format!("render fog.mgf -o {name} --frames 2 {settings}")).exits(0);

@@ -65,7 +65,7 @@ fn claim_frames(place: &Place, url: &str, job: &str, scene: &str, method: &str, 
 }
 
 #[test]
-fn frames_of_one_world_have_one_first_pass_and_neither_workers_nor_threads_change_a_bit() {
+fn frames_of_one_world_share_a_first_pass_for_any_parallelism() {
     let mut fields = Vec::new();
     for (workers, threads) in [(1, 2), (3, 1)] {
         let place = place();
@@ -88,7 +88,7 @@ fn frames_of_one_world_have_one_first_pass_and_neither_workers_nor_threads_chang
 }
 
 #[test]
-fn every_world_has_a_first_pass_of_its_own_and_a_second_job_finds_them_there() {
+fn each_world_has_its_first_pass_and_a_second_job_reuses_them() {
     let place = place();
     let (mut farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 2"));
@@ -125,7 +125,7 @@ fn a_sweep_of_the_power_of_all_lamps_has_one_first_pass() {
 }
 
 #[test]
-fn a_worker_that_is_killed_while_it_solves_costs_the_others_one_solution() {
+fn worker_killed_in_a_first_pass_costs_one_more_solution() {
     let place = place();
     let (mut farm, url) = coordinator(&place, 0);
     let token = place.path("token");
@@ -159,7 +159,7 @@ fn ask_in_blocks(place: &Place, url: &str, scene: &str, method: &str, blocks: u3
 }
 
 #[test]
-fn a_first_pass_in_blocks_is_the_same_to_the_bit_for_any_number_of_workers_and_if_one_is_killed() {
+fn blocked_first_pass_is_bit_identical_for_any_workers_or_kill() {
     let mut fields = Vec::new();
     for workers in [1, 2, 3] {
         let place = place();
@@ -226,7 +226,7 @@ fn a_plan_says_how_many_solutions_the_frames_share() {
 
 /// Checks that without `--method` a pilot decides whether a first pass is solved, with the same result in `plan` and `submit`.
 #[test]
-fn a_large_job_of_a_room_is_guided_by_a_first_pass_and_a_small_one_is_not() {
+fn only_large_jobs_of_a_room_are_guided_by_a_first_pass() {
     let place = Place::new();
     let door = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/door-ajar.mgf"));
     place.write("still.mgf", &door.expect("a scene"));

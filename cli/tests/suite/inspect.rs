@@ -6,7 +6,7 @@ use femc_model::{Graph, JobId};
 use femc_proto::Client;
 
 #[test]
-fn a_plan_counts_its_tasks_and_gives_reasons_for_what_is_left_out() {
+fn plan_counts_its_tasks_and_gives_reasons_for_omissions() {
     let place = Place::new();
     let plan = place.run("plan fog.mgf --spp 16 --frames 1..3 --no-trial --json").exits(0).json();
     let tiles = plan["tiles"].as_u64().expect("a number");
@@ -64,7 +64,7 @@ fn a_trial_estimates_the_cost_and_leaves_nothing_behind() {
 }
 
 #[test]
-fn a_sound_scene_passes_its_check_and_a_faulty_one_is_named_by_line() {
+fn sound_scene_passes_check_and_faults_are_named_by_line() {
     let place = Place::new();
     place.run("check fog.mgf").exits(0);
     place.write("odd.mgf", &common::FOG.replace("m lamp =", "m spare =\n\trd .5\nm lamp ="));

@@ -33,7 +33,7 @@ fn part(place: &Place, frame: &str, names: &[&str]) {
 }
 
 #[test]
-fn layers_of_a_farm_with_a_killed_worker_are_those_of_one_process_to_the_byte() {
+fn farm_layers_with_a_killed_worker_equal_one_process() {
     const FRAMES: u32 = 12;
     const SETTINGS: &str = "--size 40x24 --error 0.2 --layers direct,indirect,fog,surfaces,lamps,guides";
     let place = Place::new();
@@ -59,7 +59,7 @@ fn layers_of_a_farm_with_a_killed_worker_are_those_of_one_process_to_the_byte() 
 }
 
 #[test]
-fn a_frame_that_has_a_time_has_layers_of_just_the_samples_that_count() {
+fn layers_of_a_timed_frame_have_only_the_counted_samples() {
     let place = Place::new();
     place.run("render fog.mgf --frames 5 --time 2s -o timed.exr --layers direct,indirect").exits(0);
     part(&place, "timed", &["direct", "indirect"]);

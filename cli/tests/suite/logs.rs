@@ -4,7 +4,7 @@ use crate::common;
 use crate::common::{Place, coordinator, submit};
 
 #[test]
-fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator() {
+fn every_attempt_has_a_log_and_failures_outlive_the_coordinator() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let worker = place.start(&format!("worker --join {url} --threads 1 --name lab"));

@@ -36,7 +36,7 @@ fn web_server() -> String {
 }
 
 #[test]
-fn who_cannot_be_talked_to_is_not_told_as_a_coordinator_that_was_not_started() {
+fn unusable_address_is_not_reported_as_coordinator_not_started() {
     let (place, other) = (Place::new(), Place::new());
     let (_farm, url) = encrypted(&place);
     let (_plain, open) = coordinator(&other, 0);
@@ -64,7 +64,7 @@ fn who_cannot_be_talked_to_is_not_told_as_a_coordinator_that_was_not_started() {
 }
 
 #[test]
-fn who_takes_connections_and_says_nothing_is_told_and_a_worker_waits_for_it() {
+fn silent_server_is_reported_and_a_worker_waits_for_it() {
     let place = Place::new();
     // Acts like the near end of a tunnel whose far end is not up yet; after some connections it closes.
     let tunnel = TcpListener::bind("127.0.0.1:0").expect("a port");
@@ -90,7 +90,7 @@ fn who_takes_connections_and_says_nothing_is_told_and_a_worker_waits_for_it() {
 }
 
 #[test]
-fn a_viewer_is_not_told_to_be_a_worker_and_an_owner_that_does_not_count_is_told() {
+fn role_error_names_the_right_role_and_ignored_owner_is_noted() {
     let place = Place::new();
     let (_farm, url) = encrypted(&place);
     let error = place.run(&format!("submit fog.mgf --spp 1 --server {url} --identity eve.pem")).exits(1).stderr();
@@ -102,7 +102,7 @@ fn a_viewer_is_not_told_to_be_a_worker_and_an_owner_that_does_not_count_is_told(
 }
 
 #[test]
-fn a_watch_says_that_the_coordinator_is_away_and_goes_on_when_it_is_back() {
+fn watch_reports_a_lost_coordinator_and_resumes_when_it_is_back() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let job = submit(&place, &url, "--spp 4 --frames 1");
@@ -124,7 +124,7 @@ fn a_watch_says_that_the_coordinator_is_away_and_goes_on_when_it_is_back() {
 }
 
 #[test]
-fn why_tells_a_stopped_worker_and_one_without_memory_as_what_they_are() {
+fn why_reports_an_unresponsive_worker_and_one_short_of_memory() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let job = submit(&place, &url, "--spp 4 --frames 1");

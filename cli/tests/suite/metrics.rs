@@ -91,7 +91,7 @@ fn names(text: &str) -> BTreeSet<&str> {
 }
 
 #[test]
-fn alerts_dashboard_and_documentation_name_metrics_that_there_are() {
+fn alerts_dashboard_and_manual_name_existing_metrics() {
     let place = Place::new();
     let [port, own] = [free_port(), free_port()];
     let (mut farm, url) = coordinator(&place, port);

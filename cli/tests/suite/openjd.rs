@@ -71,7 +71,7 @@ fn openjd(place: &Place, line: &str) -> Option<common::Ran> {
 }
 
 #[test]
-fn the_reference_implementation_takes_exported_templates_and_runs_them_to_the_same_pixels() {
+fn openjd_reference_runs_exported_templates_to_the_same_pixels() {
     if programs().is_none() {
         return;
     }

@@ -91,7 +91,7 @@ fn took(place: &Place, url: &str, job: &str) -> ([f64; 2], u64) {
 }
 
 #[test]
-fn statistics_of_a_farm_with_a_killed_worker_are_those_of_one_process() {
+fn farm_statistics_with_a_killed_worker_equal_one_process() {
     const FRAMES: u32 = 24;
     const SETTINGS: &str = "--size 40x24 --spp 6";
     let place = Place::new();
@@ -138,7 +138,7 @@ fn a_frame_whose_statistics_are_gone_is_rendered_again() {
 }
 
 #[test]
-fn frames_of_a_job_are_asked_as_one_in_any_order_and_given_twice_they_count_once() {
+fn frames_of_a_job_are_united_in_any_order_and_count_once() {
     let place = Place::new();
     place.run("render fog.mgf --frames 2..3 --size 40x24 --spp 6 --stats -o clip").exits(0);
     let [a, b] = ["clip/fog.0002.paths", "clip/fog.0003.paths"];
@@ -226,7 +226,7 @@ fn paths_are_found_by_what_they_met() {
 }
 
 #[test]
-fn full_statistics_have_all_samples_in_their_histograms_for_any_workers() {
+fn full_statistics_count_all_samples_for_any_workers() {
     let place = Place::new();
     let line = |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 96x80 --spp 6 -o {out} {rest}");
     place.run(&line("some.exr", "--stats")).exits(0);
@@ -259,7 +259,7 @@ fn full_statistics_have_all_samples_in_their_histograms_for_any_workers() {
 }
 
 #[test]
-fn rare_paths_and_those_that_stand_for_all_are_listed_and_an_object_has_a_box() {
+fn rare_and_representative_paths_and_those_in_a_box_are_listed() {
     let place = Place::new();
     named(&place);
     place.run("render box.mgf --frames 8 --spp 8 --stats -o box.exr").exits(0);
@@ -290,7 +290,7 @@ fn rare_paths_and_those_that_stand_for_all_are_listed_and_an_object_has_a_box() 
 }
 
 #[test]
-fn voxels_of_all_variants_of_a_sweep_have_one_root_and_their_difference_is_where_light_differs() {
+fn variants_of_a_sweep_share_voxels_and_differ_where_light_does() {
     let place = Place::new();
     place.write(
         "fog.toml",
@@ -346,7 +346,7 @@ fn tables_are_files_that_other_programs_read() {
 }
 
 #[test]
-fn a_page_shows_maps_and_histograms_and_asks_nobody_for_anything() {
+fn report_page_shows_maps_and_histograms_without_any_request() {
     let place = Place::new();
     named(&place);
     place.run("render box.mgf --frames 1..2 --spp 4 --stats -o out").exits(0);

@@ -19,7 +19,7 @@ fn is_of(row: &Value, job: &str) -> bool {
 }
 
 #[test]
-fn a_finished_frame_s_image_waits_for_no_render_task_of_another_owner() {
+fn image_of_a_finished_frame_waits_for_no_task_of_another_owner() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let start = |name: &str| place.start(&format!("worker --join {url} --threads 1 --name {name}"));
@@ -66,7 +66,7 @@ fn a_finished_frame_s_image_waits_for_no_render_task_of_another_owner() {
 
 #[cfg(debug_assertions)]
 #[test]
-fn a_lone_worker_on_which_every_task_fails_pauses_and_status_says_so() {
+fn lone_failing_worker_pauses_and_status_reports_it() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let mut command = place.command(&format!("worker --join {url} --threads 1 --name sick --color never"));

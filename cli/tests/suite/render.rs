@@ -27,7 +27,7 @@ fn a_clip_becomes_a_folder_of_numbered_frames() {
 }
 
 #[test]
-fn a_second_run_with_the_same_settings_renders_nothing_and_another_seed_renders_anew() {
+fn rerun_renders_nothing_and_another_seed_renders_anew() {
     let place = Place::new();
     let line = "render fog.mgf -o out --spp 2 --frames 1..2";
     place.run(line).exits(0);
@@ -152,7 +152,7 @@ fn samples_beyond_all_range_are_left_out_counted_and_told() {
 }
 
 #[test]
-fn samples_that_are_not_numbers_are_left_out_counted_and_told_and_their_pixels_stay_right() {
+fn non_finite_samples_are_dropped_counted_and_reported() {
     let place = Place::new();
     let trap = "medium trap =\n\tsigma_s 1e-6\nmbox trap 0.2 -0.9 0.9 0.45 -0.8 1.15\n";
     place.write("trap.mgf", &format!("{}{trap}", common::FOG));
@@ -176,7 +176,7 @@ fn samples_that_are_not_numbers_are_left_out_counted_and_told_and_their_pixels_s
 }
 
 #[test]
-fn a_frame_that_had_a_time_says_how_its_samples_were_divided_and_comes_again_to_the_bit() {
+fn timed_frame_records_sample_allocation_and_replays_exactly() {
     let place = Place::new();
     let json = place.run("render fog.mgf -o a.exr --frames 2 --size 96x64 --time 1s --json").exits(0).json();
     assert!(json["frames"][0]["spp"].as_u64().is_some_and(|spp| spp >= 1), "{json}");
@@ -213,7 +213,7 @@ fn a_frame_of_another_scene_or_of_nobody_is_not_rendered_again() {
 
 #[cfg(unix)]
 #[test]
-fn ffmpeg_gets_every_frame_where_it_is_on_the_path_and_an_animated_png_stands_in_where_it_is_not() {
+fn ffmpeg_gets_every_frame_and_an_animated_png_is_the_fallback() {
     use std::os::unix::fs::PermissionsExt;
     let place = Place::new();
     std::fs::create_dir(place.path("bin")).expect("made");
@@ -235,7 +235,7 @@ fn ffmpeg_gets_every_frame_where_it_is_on_the_path_and_an_animated_png_stands_in
 }
 
 #[test]
-fn out_ending_in_png_is_one_tone_mapped_frame_and_leaves_nothing_else() {
+fn png_output_is_one_tone_mapped_frame_and_leaves_nothing_else() {
     let place = Place::new();
     let line = "render fog.mgf --spp 2 --frames 3 --json";
     let auto = place.run(&format!("{line} -o a.png")).exits(0).json();
@@ -259,7 +259,7 @@ fn out_ending_in_png_is_one_tone_mapped_frame_and_leaves_nothing_else() {
 }
 
 #[test]
-fn an_exposure_without_a_picture_and_a_picture_with_a_clip_are_wrong_usage() {
+fn exposure_without_picture_or_picture_with_clip_is_wrong_usage() {
     let place = Place::new();
     for (line, says) in [
         ("-o a.exr --exposure 3", "give -o NAME.png"),

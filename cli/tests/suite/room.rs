@@ -44,7 +44,7 @@ impl Drop for Disk<'_> {
 }
 
 #[test]
-fn a_coordinator_whose_log_s_disk_is_full_says_so_and_goes_on_when_there_is_room() {
+fn coordinator_reports_a_full_log_disk_and_resumes_with_room() {
     let place = Place::new();
     let at = place.path("small");
     let Some(disk) = Disk::mount(&at, "24m") else { return };
@@ -89,7 +89,7 @@ fn a_coordinator_whose_log_s_disk_is_full_says_so_and_goes_on_when_there_is_room
 }
 
 #[test]
-fn a_disk_that_fills_up_is_told_of_by_jobs_before_new_ones_are_refused() {
+fn disk_filling_up_is_reported_by_jobs_before_jobs_are_refused() {
     let place = Place::new();
     let at = place.path("small");
     let Some(_disk) = Disk::mount(&at, "24m") else { return };

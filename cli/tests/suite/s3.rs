@@ -33,7 +33,7 @@ fn a_farm_over_a_bucket_gives_the_bytes_of_one_process() {
 }
 
 #[test]
-fn a_store_that_goes_away_for_a_while_costs_no_task_and_no_pixel() {
+fn temporary_store_outage_costs_no_task_and_no_pixel() {
     let (Some(bucket), Some(server)) = (bucket("outage"), Need::S3.variable("AWS_ENDPOINT_URL")) else { return };
     let (place, outage) = (Place::new(), Outage::of(&server));
     let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {bucket}");

@@ -36,7 +36,7 @@ fn a_scene_reads_what_lies_below_its_root_and_says_so() {
 }
 
 #[test]
-fn a_job_file_has_its_root_beside_it_and_a_wrong_root_is_wrong_usage() {
+fn job_file_sets_its_root_and_a_wrong_root_is_wrong_usage() {
     let place = divided();
     place.write("models/job.toml", "scene = \"room/room.mgf\"\nroot = \".\"\nspp = 1\nframes = \"1\"\n");
     place.run("render models/job.toml -o a.exr").exits(0);
@@ -56,7 +56,7 @@ fn odd_house() -> String {
 }
 
 #[test]
-fn a_check_has_a_line_for_each_kind_the_bounds_and_the_lamps_with_their_flux() {
+fn check_summarizes_warnings_by_kind_bounds_and_lamp_flux() {
     let place = Place::new();
     place.write("house.mgf", &odd_house());
     let said = place.run("check house.mgf").exits(0).stdout();
@@ -111,7 +111,7 @@ fn the_camera_of_a_scene_without_one_is_a_note_of_its_check() {
 }
 
 #[test]
-fn a_scene_of_many_warnings_says_the_first_and_where_the_others_are() {
+fn many_scene_warnings_print_the_first_and_point_to_the_rest() {
     let place = Place::new();
     let odd = "c\ncspec 380 780 1 1 1 1 1 1 1 -1\n".repeat(100);
     place.write("odd.mgf", &(odd + common::FOG));

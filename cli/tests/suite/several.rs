@@ -174,7 +174,7 @@ fn a_killed_leader_is_replaced_and_costs_no_pixel() {
 }
 
 #[test]
-fn a_frozen_leader_is_replaced_stands_by_when_it_wakes_and_leads_again_when_the_other_dies() {
+fn frozen_leader_becomes_standby_and_leads_after_the_next_death() {
     let Some(farm) = Farm::new() else { return };
     let mut one = farm.coordinator(0);
     one.wait_until("its term", || farm.terms(0) == 1);

@@ -61,7 +61,7 @@ fn a_worker_of_the_oldest_protocol_works_beside_one_of_today() {
 }
 
 #[test]
-fn a_worker_of_a_protocol_too_old_or_too_new_is_refused_and_told_what_to_do() {
+fn worker_of_unsupported_protocol_is_refused_with_advice() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     for (protocol, said) in [(OLDEST - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")] {

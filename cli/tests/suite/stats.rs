@@ -37,7 +37,7 @@ fn rendering(id: u32, name: &str) -> f64 {
 const TICKS: f64 = 0.02;
 
 #[test]
-fn the_processor_seconds_of_all_attempts_are_those_that_the_system_says_the_workers_used() {
+fn cpu_seconds_of_attempts_equal_system_cpu_seconds_of_workers() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let start = |name: &'static str| {
@@ -106,7 +106,7 @@ fn lease(row: &serde_json::Value) -> (String, u64) {
 }
 
 #[test]
-fn what_was_told_outlives_the_coordinator_and_failures_are_attempts_too() {
+fn stats_outlive_the_coordinator_and_failures_are_attempts() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let small = place.start(&format!("worker --join {url} --threads 1 --name small --memory 1M"));

@@ -4,7 +4,7 @@ use crate::common;
 use crate::common::{Place, coordinator, names, share, status, submit, workers};
 
 #[test]
-fn a_coordinator_that_is_told_to_stop_leaves_all_in_one_file_and_goes_on_from_it() {
+fn stopped_coordinator_leaves_one_file_and_resumes_from_it() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let job = submit(&place, &url, "--spp 1 --frames 1");

@@ -124,7 +124,7 @@ fn styles_come_with_the_program() {
 }
 
 #[test]
-fn frames_of_a_clip_hold_on_to_what_was_painted_where_motion_says_it_went() {
+fn painted_clip_frames_follow_motion() {
     let place = place();
     let size = [40u32, 30];
     let pixels = (size[0] * size[1]) as usize;

@@ -23,7 +23,7 @@ fn sweep(place: &Place, line: &str) -> Value {
 }
 
 #[test]
-fn a_grid_becomes_folders_tables_and_a_sheet_and_equals_separate_renders() {
+fn grid_sweep_writes_folders_tables_sheet_and_equals_renders() {
     let place = place(&format!(
         "{JOB}[regions]\nlamp = [4, 0, 12, 4]\nfloor = [4, 12, 12, 16]\n[contrasts]\nseen = [\"lamp\", \"floor\"]\n"
     ));
@@ -68,7 +68,7 @@ fn a_grid_becomes_folders_tables_and_a_sheet_and_equals_separate_renders() {
 }
 
 #[test]
-fn a_sweep_that_grows_runs_only_what_is_new_and_a_second_run_nothing() {
+fn grown_sweep_runs_only_new_variants_and_a_rerun_nothing() {
     let place = place(JOB);
     assert_eq!(counts(&sweep(&place, "-o out --local")), [8, 0, 0]);
     assert_eq!(counts(&sweep(&place, "-o out --local")), [0, 0, 8]);
@@ -87,7 +87,7 @@ fn a_sweep_that_grows_runs_only_what_is_new_and_a_second_run_nothing() {
 }
 
 #[test]
-fn frames_of_another_build_of_the_engine_are_not_taken_for_this_one_s() {
+fn frames_of_another_engine_build_are_not_reused() {
     let place = place(JOB);
     assert_eq!(counts(&sweep(&place, "-o out --local")), [8, 0, 0]);
     let mut other = place.command("sweep j.toml --json -o out --local");
@@ -180,7 +180,7 @@ fn variants_that_differ_in_the_camera_share_their_worlds() {
 }
 
 #[test]
-fn on_a_farm_a_killed_sweep_goes_on_without_rendering_anything_twice() {
+fn killed_farm_sweep_resumes_without_rendering_twice() {
     let place = place(&JOB.replace("spp = 2", "spp = 200"));
     let (mut farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 1"));
@@ -219,7 +219,7 @@ fn a_killed_local_sweep_goes_on() {
 }
 
 #[test]
-fn queued_and_not_waited_for_it_prints_the_jobs_and_is_collected_later() {
+fn detached_sweep_prints_its_jobs_and_is_collected_later() {
     let place = place(JOB);
     let (_farm, url) = coordinator(&place, 0);
     let ran = place.run(&format!("sweep j.toml --server {url}")).exits(0);
@@ -237,7 +237,7 @@ fn queued_and_not_waited_for_it_prints_the_jobs_and_is_collected_later() {
 }
 
 #[test]
-fn what_the_scene_refuses_is_told_with_its_place_in_the_job_file() {
+fn scene_errors_of_a_sweep_name_the_place_in_the_job_file() {
     let place = place(JOB);
     for (from, to, said) in [
         ("0.05, 0.2", "0.05, -1", "j.toml:7:31: `medium.fog.sigma_s`"),

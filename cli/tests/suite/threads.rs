@@ -73,7 +73,7 @@ fn a_render_starts_no_threads_beside_its_own() {
 const STACK: usize = 128 << 20;
 
 #[test]
-fn threads_that_cannot_be_started_are_an_error_that_says_what_to_do() {
+fn thread_start_failure_is_an_error_with_advice() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     for line in [
@@ -89,7 +89,7 @@ fn threads_that_cannot_be_started_are_an_error_that_says_what_to_do() {
 }
 
 #[test]
-fn a_worker_starts_no_threads_beside_its_own_whatever_its_tasks_are() {
+fn worker_starts_no_extra_threads_for_any_task() {
     let place = Place::new();
     scenes(&place);
     let (_farm, url) = coordinator(&place, 0);

@@ -17,7 +17,7 @@ fn farm(place: &Place, holders: &[&str]) -> (Running, String) {
 }
 
 #[test]
-fn an_encrypted_farm_renders_the_pixels_of_one_process_and_each_role_does_its_part() {
+fn encrypted_farm_equals_one_process_and_each_role_works() {
     let place = Place::new();
     let (_farm, url) = farm(
         &place,
@@ -86,7 +86,7 @@ fn who_has_no_identity_or_lost_it_is_told_so() {
 }
 
 #[test]
-fn browsers_get_the_certificate_of_the_authority_alone_and_its_fingerprint() {
+fn ca_export_has_only_the_certificate_and_shows_fingerprint() {
     let place = Place::new();
     let missing = place.run("ca export").exits(2).stderr();
     assert!(missing.contains("femc ca init"), "{missing}");
@@ -194,7 +194,7 @@ fn a_token_goes_no_further_than_this_machine_unless_encrypted() {
 }
 
 #[test]
-fn the_record_says_who_did_what_and_what_was_refused_and_no_secret() {
+fn audit_log_records_actions_and_refusals_but_no_secret() {
     let place = Place::new();
     let (mut farm, url) = farm(&place, &["worker w1", "user ann --role submitter", "user op --role operator"]);
     let _worker = place.start(&format!("worker --join {url} --threads 1 --identity w1.pem --name node"));
@@ -234,7 +234,7 @@ fn the_record_says_who_did_what_and_what_was_refused_and_no_secret() {
 /// Checks the audit log. Pages that are loaded without a login are not recorded as refused. Calls without a login and connections
 /// without a request are.
 #[test]
-fn a_page_that_is_loaded_from_an_encrypted_coordinator_is_not_in_the_record_as_refused() {
+fn audit_log_of_encrypted_farm_records_no_page_load_as_refused() {
     let place = Place::new();
     for line in ["ca init --name nights", "ca issue coordinator farm", "ca token user ann --role viewer"] {
         place.run(line).exits(0);
@@ -264,7 +264,7 @@ fn a_page_that_is_loaded_from_an_encrypted_coordinator_is_not_in_the_record_as_r
 }
 
 #[test]
-fn what_is_no_authority_or_no_coordinator_s_identity_is_refused_with_a_way_out() {
+fn bad_authority_or_coordinator_identity_is_refused_with_advice() {
     let place = Place::new();
     let error = place.run("ca issue worker w1").exits(2).stderr();
     assert!(error.contains("femc ca init"), "{error}");

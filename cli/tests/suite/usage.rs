@@ -33,7 +33,7 @@ fn wrong_usage_ends_with_2_and_names_the_flag() {
 }
 
 #[test]
-fn what_only_the_scene_can_refuse_is_wrong_usage_too_and_renders_nothing() {
+fn scene_dependent_usage_errors_exit_with_2_and_render_nothing() {
     let place = Place::new();
     for (line, said) in [
         ("render nothing.mgf -o out --spp 1", "nothing.mgf"),
@@ -67,7 +67,7 @@ fn a_broken_scene_fails_with_its_file_and_line() {
 }
 
 #[test]
-fn a_scene_without_a_camera_gets_one_and_a_note_and_one_without_anything_cannot_be_rendered() {
+fn default_camera_gets_a_note_and_an_empty_scene_is_refused() {
     let place = Place::new();
     place.write("blind.mgf", "m lamp =\n\ted 1\nv a =\n\tp 0 0 0\nsph a 1\n");
     let ran = place.run("render blind.mgf --spp 1 --size 4x3 -o blind.exr").exits(0);

@@ -26,7 +26,7 @@ fn half_done(place: &Place) -> (Running, Running, String, String) {
 }
 
 #[test]
-fn the_frame_in_work_is_kept_in_a_file_and_drawn_and_at_the_end_it_is_the_frame() {
+fn preview_file_and_drawing_follow_the_frame_until_it_is_done() {
     let place = Place::new();
     let (_farm, mut worker, url, job) = half_done(&place);
     let line = format!("watch {job} --preview --preview-to now.png --server {url}");
@@ -44,7 +44,7 @@ fn the_frame_in_work_is_kept_in_a_file_and_drawn_and_at_the_end_it_is_the_frame(
 }
 
 #[test]
-fn nothing_is_drawn_where_nobody_asked_for_it_and_it_is_no_terminal() {
+fn preview_is_not_drawn_unless_requested_or_on_a_terminal() {
     let place = Place::new();
     let (_farm, mut worker, url, job) = half_done(&place);
     let mut watches = ["", "--preview=auto", "--preview=never", "--preview=always --quiet"].map(|flag| {

@@ -48,7 +48,7 @@ impl Listener {
 }
 
 #[test]
-fn a_page_sees_a_job_from_its_submission_to_its_picture_and_steers_it() {
+fn page_follows_job_from_submission_to_picture_and_controls_it() {
     let place = Place::new();
     let (_coordinator, url) = coordinator(&place, 0);
     let address = address(&url);
@@ -135,7 +135,7 @@ fn a_page_sees_a_job_from_its_submission_to_its_picture_and_steers_it() {
 }
 
 #[test]
-fn every_answer_keeps_browsers_from_what_a_page_of_another_site_could_make_of_it() {
+fn every_answer_has_headers_against_cross_site_attacks() {
     let place = Place::new();
     let (_coordinator, url) = coordinator(&place, 0);
     for line in ["GET /", "GET /jobs/7", "GET /api/v1/me", "GET /api/v1/nothing", "POST /login", "PUT /", "GET /no.js"]
@@ -199,7 +199,7 @@ fn an_open_feed_ends_when_its_token_is_taken_back() {
 }
 
 #[test]
-fn several_jobs_are_steered_at_once_and_what_cannot_be_done_to_one_is_done_to_the_others() {
+fn several_jobs_are_controlled_at_once_despite_a_bad_one() {
     let place = Place::new();
     let (_coordinator, url) = coordinator(&place, 0);
     for owner in ["ann", "ann", "bob", "ann"] {
@@ -225,7 +225,7 @@ fn several_jobs_are_steered_at_once_and_what_cannot_be_done_to_one_is_done_to_th
 }
 
 #[test]
-fn a_worker_stays_known_with_its_number_counts_and_last_contact_over_a_restart_of_the_coordinator() {
+fn worker_history_outlives_a_coordinator_restart() {
     let place = Place::new();
     let (mut coordinator, url) = coordinator(&place, 0);
     let address = address(&url);
@@ -280,7 +280,7 @@ fn a_worker_stays_known_with_its_number_counts_and_last_contact_over_a_restart_o
 }
 
 #[test]
-fn maps_of_a_frame_are_what_its_light_statistics_know_of_each_pixel() {
+fn maps_of_a_frame_equal_its_light_statistics_per_pixel() {
     let place = Place::new();
     let (_coordinator, url) = coordinator(&place, 0);
     let address = address(&url);

@@ -14,7 +14,7 @@ fn kept(place: &Place, folder: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_along() {
+fn worker_killed_before_acknowledgement_later_uploads_result() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let proxy = Proxy::to(&url);
@@ -52,7 +52,7 @@ fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_al
 }
 
 #[test]
-fn a_drained_worker_gets_nothing_and_says_so_until_that_is_undone() {
+fn drained_worker_gets_no_tasks_and_says_so_until_undrained() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 1 --name lab"));
@@ -72,7 +72,7 @@ fn a_drained_worker_gets_nothing_and_says_so_until_that_is_undone() {
 }
 
 #[test]
-fn a_drained_worker_gives_back_within_two_seconds_what_it_has_not_begun() {
+fn drained_worker_returns_unbegun_tasks_within_two_seconds() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 1 --name lab"));
@@ -146,7 +146,7 @@ fn a_worker_without_a_task_ends_by_itself() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_worker_above_its_limit_of_memory_gives_tasks_back_and_says_why() {
+fn worker_over_its_memory_limit_returns_tasks_with_a_reason() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let mut small = place.start(&format!("worker --join {url} --threads 1 --memory 1M"));
@@ -166,7 +166,7 @@ fn a_worker_above_its_limit_of_memory_gives_tasks_back_and_says_why() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn the_threads_that_compute_are_nice_and_those_that_talk_are_not() {
+fn compute_threads_are_nice_and_network_threads_are_not() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let worker = place.start(&format!("worker --join {url} --threads 2 --nice 7 --name w"));

@@ -184,7 +184,7 @@ fn other_sizes(bytes: u64) -> [u64; 5] {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_result_whose_artifact_has_another_size_than_it_says_does_not_count() {
+async fn result_with_a_wrong_artifact_size_is_rejected() {
     for known in Known::BOTH {
         let (folder, farm, client) = farm().await;
         let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
@@ -221,7 +221,7 @@ async fn a_result_whose_artifact_has_another_size_than_it_says_does_not_count() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_result_whose_artifact_is_damaged_in_the_store_or_not_there_does_not_count_and_the_artifact_is_wanted() {
+async fn result_with_a_damaged_or_lost_artifact_is_rejected() {
     let (folder, farm, client) = farm().await;
     let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
     client.submit(None, spec(bundle.digest)).await.unwrap();
@@ -270,7 +270,7 @@ async fn a_log_of_another_size_than_its_report_says_did_not_arrive() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_takes_an_artifact_for_one_of_another_size_is_refused_before_any_byte_and_the_store_keeps_it() {
+async fn fetch_with_a_wrong_size_is_refused_and_the_artifact_stays() {
     let (_folder, farm, client) = farm().await;
     let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
     let whole = noise(2 * MB);
@@ -432,7 +432,7 @@ async fn a_truncated_result_does_not_block_its_job() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_scene_that_the_store_has_cut_is_sent_again_before_its_job_is_taken() {
+async fn truncated_scene_is_sent_again_before_its_job_is_accepted() {
     let (folder, farm, client) = farm().await;
     let pieces: Vec<Bytes> = (0..3).map(|i| Bytes::from(format!("piece {i} of a scene"))).collect();
     let named = pieces.iter().map(|bytes| Piece { artifact: Artifact::of(bytes), unpacked: 9 }).collect();
@@ -450,7 +450,7 @@ async fn a_scene_that_the_store_has_cut_is_sent_again_before_its_job_is_taken() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_damaged_image_is_found_by_who_fetches_it_and_its_frame_is_rendered_again() {
+async fn fetch_detects_a_damaged_image_and_its_frame_is_rerendered() {
     let (folder, farm, client) = farm().await;
     let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
     let id = client.submit(None, spec(bundle.digest)).await.unwrap();
@@ -508,7 +508,7 @@ fn flip(file: &Path) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn an_image_that_was_read_wrongly_and_is_sound_does_not_begin_its_frame_anew() {
+async fn transient_read_error_of_a_sound_image_rerenders_no_frame() {
     let (folder, farm, client) = farm().await;
     let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
     let whole = noise(40 * MB);

@@ -115,7 +115,7 @@ async fn what_no_job_refers_to_goes_and_a_dry_run_says_so_before() {
 }
 
 #[tokio::test]
-async fn what_a_submission_was_told_is_there_stays_until_it_is_submitted() {
+async fn artifacts_promised_to_a_submission_survive_collection() {
     let farm = Farm::start().await;
     let (asked, unasked) = (scene("told"), scene("untold"));
     for bytes in asked.iter().chain(&unasked) {
@@ -134,7 +134,7 @@ async fn what_a_submission_was_told_is_there_stays_until_it_is_submitted() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_job_that_was_taken_loses_a_piece_however_collections_and_submissions_meet() {
+async fn accepted_jobs_lose_no_artifact_to_concurrent_collections() {
     let farm = Farm::start().await;
     let scenes: Vec<Vec<Bytes>> = (0..40).map(|i| scene(&format!("scene {i}"))).collect();
     let collector = tokio::spawn({

@@ -144,7 +144,7 @@ fn refusal<T: std::fmt::Debug>(answer: Result<T, CallError>) -> Refusal {
 }
 
 #[tokio::test]
-async fn a_full_log_ends_nothing_tells_nothing_and_goes_on_when_there_is_room() {
+async fn full_log_acknowledges_nothing_and_resumes_when_there_is_room() {
     let (log, metrics) = (Narrow::default(), Metrics::default());
     let (farm, client) = farm(&log, Config { metrics: metrics.clone(), ..Config::default() }).await;
     let job = client.submit(None, spec()).await.unwrap();
@@ -186,7 +186,7 @@ async fn a_full_log_ends_nothing_tells_nothing_and_goes_on_when_there_is_room() 
 }
 
 #[tokio::test]
-async fn a_command_that_meets_the_full_log_hears_why_at_once_and_is_done_when_there_is_room() {
+async fn command_refused_by_a_full_log_runs_when_there_is_room() {
     let log = Narrow::default();
     let (farm, client) = farm(&log, Config::default()).await;
     let job = client.submit(None, spec()).await.unwrap();
@@ -227,7 +227,7 @@ async fn a_command_that_meets_the_full_log_hears_why_at_once_and_is_done_when_th
 }
 
 #[tokio::test]
-async fn what_workers_say_while_the_log_is_full_is_heard_when_there_is_room() {
+async fn reports_during_a_full_log_are_accepted_when_there_is_room() {
     let log = Narrow::default();
     let (farm, client) = farm(&log, Config::default()).await;
     client.submit(None, spec()).await.unwrap();
@@ -247,7 +247,7 @@ async fn what_workers_say_while_the_log_is_full_is_heard_when_there_is_room() {
 }
 
 #[tokio::test]
-async fn a_snapshot_without_room_is_left_and_a_coordinator_that_is_stopped_meanwhile_says_why_it_ends() {
+async fn snapshot_without_room_is_skipped_and_a_stop_says_why_it_ends() {
     let log = Narrow { has_no_snapshots: true, ..Narrow::default() };
     let (farm, client) = farm(&log, Config { snapshot: 1, ..Config::default() }).await;
     while log.refused.load(Ordering::SeqCst) == 0 {
@@ -267,7 +267,7 @@ async fn a_snapshot_without_room_is_left_and_a_coordinator_that_is_stopped_meanw
 }
 
 #[tokio::test]
-async fn with_little_room_it_is_told_with_less_no_new_job_is_taken_and_the_others_go_on() {
+async fn low_disk_space_warns_first_then_refuses_only_new_jobs() {
     let folder = tempfile::tempdir().unwrap();
     let free = femc_metrics::free(folder.path()).unwrap();
     let config = |keep_free| Config {

@@ -96,7 +96,7 @@ async fn jobs(client: &Client) -> Vec<JobId> {
 }
 
 #[tokio::test]
-async fn a_coordinator_that_loses_its_database_goes_on_when_it_is_back() {
+async fn coordinator_resumes_when_its_lost_database_is_back() {
     let Some(scratch) = Scratch::new().await else { return };
     let folder = tempfile::tempdir().unwrap();
     let (set, url) = way(&scratch.url()).await;
@@ -117,7 +117,7 @@ async fn a_coordinator_that_loses_its_database_goes_on_when_it_is_back() {
 }
 
 #[tokio::test]
-async fn a_leader_cut_off_from_its_database_says_nothing_any_more_and_another_leads() {
+async fn leader_without_its_database_falls_silent_and_another_leads() {
     let Some(scratch) = Scratch::new().await else { return };
     let folder = tempfile::tempdir().unwrap();
     let (set, url) = way(&scratch.url()).await;

@@ -120,7 +120,7 @@ fn panicked(lease: &Assignment) -> FromWorker {
 }
 
 #[tokio::test]
-async fn a_snapshot_says_what_the_one_before_it_and_the_records_since_say() {
+async fn snapshot_equals_previous_snapshot_plus_later_records() {
     // Each tick makes a snapshot, also a tick that produces facts itself.
     let (log, clock) = (Compared::default(), Arc::new(AtomicU64::new(0)));
     let shown = clock.clone();

@@ -104,7 +104,7 @@ async fn artifacts_go_up_and_come_down_whole_or_not_at_all() {
 }
 
 #[tokio::test]
-async fn a_job_whose_scene_is_not_whole_is_refused_with_what_is_missing() {
+async fn job_with_an_incomplete_scene_is_refused_with_missing_digests() {
     let store = Store::memory();
     let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();

@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn airlight_of_a_point_source_has_the_tabulated_values_and_hardly_any_variance() {
+    fn point_source_airlight_matches_tables_with_little_variance() {
         // sigma_s = sigma_t = 1, intensity 1, isotropic phase, h = 1, from t' = a to (nearly) infinity.
         for (start, expected) in [(0.0f32, 0.015_382_72), (-2.0, 0.008_933_162), (-5.0, 5.656_51e-4)] {
             let level = Level::detect();

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_emittance_is_the_cosine_integral_of_the_radiance_for_every_profile() {
+    fn emittance_is_the_cosine_integral_of_every_radiance_profile() {
         let exponents = [0.0, 1.0, 7.5, 80.0].map(|exponent| Profile::Lobe { exponent });
         for profile in [Profile::Lambertian].into_iter().chain(exponents) {
             let emission = Emission { emittance: Rgb::new(3.0, 2.0, 1.0), profile, sides: Sides::One };

@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cube_face_seen_from_the_centre_is_a_sixth_of_the_sphere_and_agrees_with_two_triangles() {
+    fn cube_face_is_a_sixth_of_the_sphere_and_equals_two_triangles() {
         let corner = DVec3::new(-1.0, -1.0, -1.0);
         let r = SphericalRectangle::new(corner, DVec3::X, DVec3::Y, DVec3::Z, [2.0, 2.0]);
         assert!((r.solid_angle() - 2.0 * TAU / 6.0).abs() < 1e-14);
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn points_of_a_rectangle_fill_parts_in_proportion_to_their_solid_angles() {
+    fn rectangle_samples_are_uniform_in_solid_angle() {
         // The part left of x = m must receive the fraction u <= S_left / S, because the map is monotone in u[0].
         for (corner, size) in
             [(DVec3::new(-1.0, -2.0, 0.5), [2.0, 3.0]), (DVec3::new(900.0, -200.0, 400.0), [2.0, 3.0])]
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_of_a_triangle_fill_parts_in_proportion_to_their_solid_angles() {
+    fn triangle_samples_are_uniform_in_solid_angle() {
         // c' moves on the edge a-c: the triangle a, b, c' has area u S. With u[1] = 1, the direction is c' itself.
         for scale in [1.0, 1e-2, 1e-3] {
             let a = DVec3::new(0.2, 0.1, 1.0);

@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_direction_gives_nearly_the_clamped_cosine_and_all_directions_a_quarter() {
+    fn harmonics_match_clamped_cosine_and_average_a_quarter() {
         let towards = |k: u32, n: u32| {
             let z = 1.0 - (2 * k + 1) as f32 / n as f32;
             femc_math::warp::direction(z, (k as f32 * 0.618_034).fract())

@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gif_holds_every_frame_closely_and_keeps_the_length_of_the_clip() {
+    fn gif_approximates_every_frame_and_keeps_the_clip_length() {
         let bytes = encode(AnimationFormat::Gif, 24.0);
         assert_eq!(bytes, encode(AnimationFormat::Gif, 24.0));
         assert!(bytes.windows(SOFTWARE.len()).any(|window| window == SOFTWARE.as_bytes()), "it names its encoder");

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn dark_blocks_are_measured_against_a_hundredth_of_the_mean_and_black_ones_are_unlit() {
+    fn dark_blocks_use_a_mean_based_floor_and_black_ones_are_unlit() {
         let mut image = gray(32, 16, 1.0, 0.0);
         for (x, y) in (Rect { x: 16, y: 0, width: 16, height: 16 }).pixels() {
             image.color.pixels[(y * 32 + x) as usize] = [0.0; 3];

@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn the_box_is_the_pixels_area_and_every_filter_is_symmetric_and_monotone() {
+    fn box_covers_the_pixel_and_filters_are_symmetric_and_monotone() {
         assert_eq!(Filter::Box.sample([0.0, 0.75]), [-0.5, 0.25]);
         for filter in Filter::ALL {
             let mut last = -filter.radius();

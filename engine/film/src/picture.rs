@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_picture_is_a_card_with_a_cross_from_corner_to_corner() {
+    fn missing_picture_is_a_card_with_a_cross_between_its_corners() {
         for (width, height) in [(64, 64), (160, 90), (9, 40), (1, 1)] {
             let card = Picture::missing(width, height);
             let at = |x: u32, y: u32| card.pixels[(y * width + x) as usize];

@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_within_has_nine_degrees_of_freedom_and_one_in_a_corner_four() {
+    fn interior_pixel_has_nine_degrees_of_freedom_and_corner_four() {
         let all = errors(4, &[2.0; 12], &[0.04; 12], &[64.0; 12]);
         let freedom: Vec<u8> = all.iter().flatten().map(|error| error.freedom).collect();
         assert_eq!(freedom, [4, 6, 6, 4, 6, 9, 9, 6, 4, 6, 6, 4]);
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn unlit_pixels_and_single_samples_have_no_error_and_no_part_in_others() {
+    fn unlit_and_single_sample_pixels_have_and_give_no_error() {
         let all = errors(4, &[1.0, 0.0, 1.0, 1.0], &[0.01, 0.0, 1.0, 0.04], &[8.0, 8.0, 1.0, 8.0]);
         assert_eq!((all[1], all[2]), (None, None));
         assert_eq!(all[0].map(|error| error.freedom), Some(1));

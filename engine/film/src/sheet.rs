@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_caption_stays_in_its_cell_and_strange_letters_are_questions() {
+    fn caption_stays_in_its_cell_and_unknown_letters_are_replaced() {
         let long = "\u{4e2d}".repeat(40);
         let sheet = labelled_sheet(&[SheetRow {
             title: String::new(),

@@ -22,7 +22,7 @@ pub const BLOCK: u32 = 8;
 impl Tile {
     /// Returns the tile's sums in blocks of [`BLOCK`] x [`BLOCK`] pixels of the film: a tile of a smaller film. Bad samples are in
     /// the sums of neither tile. The thumbnail of a merge is the merge of the thumbnails (test
-    /// `the_thumbnails_of_a_tile_s_parts_add_up_to_its_own_in_any_cut`).
+    /// `part_thumbnails_of_a_tile_sum_to_its_own_for_any_cut`).
     /// - the tile must begin at whole blocks, like those of a tiling that has [`Tiling::of_thumbnails`].
     pub fn thumbnail(&self) -> Self {
         let Rect { x, y, width, height } = self.rect;

@@ -44,7 +44,7 @@ impl ToneCurve {
 
     /// Computes the curve of automatic exposure from a luminance histogram of blocks, without keeping all images in memory. Every
     /// block counts as one in the middle of its bin, so the exposure is within half a bin of that of the blocks (test
-    /// `the_exposure_of_levels_is_within_half_a_bin_of_that_of_their_blocks`).
+    /// `level_exposure_is_within_half_a_bin_of_block_exposure`).
     pub fn of_levels(levels: &Levels) -> Self {
         Self::exposing(levels.lit().map(|(y, count)| (y, count as f64)))
     }
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn automatic_exposure_follows_the_light_and_ignores_black_and_nan() {
+    fn auto_exposure_follows_the_light_and_ignores_black_and_nan() {
         let image = Image::filled(8, 8, [3.0; 3]);
         let exposure = ToneCurve::auto([&image]).exposure;
         assert!((exposure - 0.06).abs() < 1e-5);

@@ -218,7 +218,7 @@ mod tests {
 
     /// Names in a bundle are exact: two names that a case-insensitive disk would confuse are two files.
     #[test]
-    fn a_name_twice_is_refused_and_names_that_differ_in_case_are_two_files() {
+    fn duplicate_names_are_refused_and_names_are_case_sensitive() {
         let file = |name: &str| {
             let mut bytes = (name.len() as u32).to_le_bytes().to_vec();
             bytes.extend(name.as_bytes());

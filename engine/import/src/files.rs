@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn paths_are_relative_to_the_naming_file_and_stay_below_the_root() {
+    fn paths_resolve_from_the_naming_file_and_stay_below_the_root() {
         assert_eq!(resolve("a/b/main.mgf", "../lamp.mgf"), Ok("a/lamp.mgf".into()));
         assert_eq!(resolve("main.mgf", "./x//y.mgf"), Ok("x/y.mgf".into()));
         assert!(matches!(resolve("a/main.mgf", "../../x"), Err(Fault::OutsideRoot { .. })));
@@ -159,7 +159,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_folder_that_is_a_link_a_loop_and_a_pipe_are_refused_and_a_hard_link_is_a_file() {
+    fn linked_folders_loops_and_pipes_are_refused_not_hard_links() {
         let (outside, root) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         std::fs::write(outside.path().join("secret"), "x").unwrap();
         let at = |name: &str| root.path().join(name);

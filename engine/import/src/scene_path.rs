@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn files_outside_the_scenes_folder_are_read_below_the_root_with_a_warning_each() {
+    fn files_outside_the_scene_folder_are_each_read_with_a_warning() {
         let place = tree();
         let path = ScenePath::below(place.path(), &place.path().join("houses/a/room.mgf")).unwrap();
         assert_eq!(path.entry(), "houses/a/room.mgf");
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scenes_folder_is_the_root_unless_another_is_given_and_nothing_leaves_either() {
+    fn scene_folder_is_the_default_root_and_no_path_leaves_a_root() {
         let place = tree();
         let scene = place.path().join("houses/a/room.mgf");
         let error = ScenePath::new(&scene).unwrap().load().unwrap_err().to_string();

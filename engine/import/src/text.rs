@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_has_the_start_of_a_long_text_and_no_control_characters() {
+    fn excerpts_are_truncated_and_drop_control_characters() {
         assert_eq!(excerpt(b"caf\xe9 \xc3\xa9 \x1b[1m\tend"), "caf\u{fffd} \u{e9} [1mend");
         assert_eq!(excerpt("\u{4e00}".repeat(64).as_bytes()), "\u{4e00}".repeat(64));
         assert_eq!(excerpt("\u{4e00}".repeat(65).as_bytes()), "\u{4e00}".repeat(64) + "...");

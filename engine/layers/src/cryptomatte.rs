@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn ids_are_those_of_the_specification_and_of_the_tests_of_its_authors() {
+    fn ids_match_the_specification_and_its_authors_tests() {
         for (name, hex) in [("bunny", 0x1385_1a76), ("default", 0x42c9_679f), ("bunny_porcelain_mat", 0xb24b_26d4)] {
             assert_eq!(id(name), hex, "{name}");
         }

@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fewest_missing_events_are_named_and_what_may_be_lit_is_not() {
+    fn fewest_missing_events_are_named_and_lit_layers_are_not() {
         for (text, wanted) in [
             ("C.*", None),
             ("CL", None),

@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_layer_is_a_name_and_an_expression_and_what_is_none_is_refused() {
+    fn layer_is_name_and_expression_and_anything_else_is_refused() {
         assert_eq!("direct = CDL".parse(), Ok(Layer::new("direct", "CDL")));
         assert_eq!("CDL".parse::<Layer>(), Err(LayerError::Form("CDL".into())));
         assert_eq!("a.b=CDL".parse::<Layer>(), Err(LayerError::Name("a.b".into())));

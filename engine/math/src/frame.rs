@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_are_orthonormal_for_every_normal_and_invert_themselves() {
+    fn frames_are_orthonormal_and_invertible_for_every_normal() {
         for i in 0..2000u32 {
             let z = 1.0 - 2.0 * (i as f32 + 0.5) / 2000.0;
             let (s, c) = crate::elementary::sin_cos(i as f32 * 2.399_963);

@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_power_of_two_run_of_a_replicate_is_stratified_in_all_elementary_intervals() {
+    fn power_of_two_replicate_runs_stratify_elementary_intervals() {
         for pixel in 0..20 {
             for log in 0..=8u32 {
                 let n = 1usize << log;

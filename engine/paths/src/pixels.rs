@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn sums_that_have_no_room_stay_at_the_greatest_number_in_any_order() {
+    fn overflowing_pixel_sums_saturate_in_any_order() {
         let mut bright = PixelSums::default();
         bright.count(f32::MAX, f32::MAX, u32::MAX);
         assert_eq!((bright.luminance, bright.throughput, bright.depth), (1 << 48, 1 << 20, u32::MAX));

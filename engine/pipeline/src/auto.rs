@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn a_door_ajar_is_worth_a_first_pass_and_a_small_frame_or_one_by_the_clock_is_not() {
+    fn door_ajar_gets_a_first_pass_and_small_or_timed_frames_do_not() {
         let source = source("door-ajar");
         let large = chosen(&source, [320, 240], Stop::Spp(1024));
         assert_eq!(large.method, Method::Femc, "{large:?}");

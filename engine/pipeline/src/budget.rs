@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_has_samples_as_its_standard_deviation_over_the_root_of_their_cost() {
+    fn tile_samples_follow_standard_deviation_over_root_of_cost() {
         let tiles = [(1.0, 4.0), (4.0, 4.0), (1.0, 16.0), (4.0, 1.0)].map(|(variance, rays)| Model { variance, rays });
         let world = World { tiles: tiles.to_vec(), rate: 1e6, before: 0.0, round: 0.0 };
         let Ended { counted, begin, .. } = world.render(60.0);
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_pilot_would_be_a_large_part_all_tiles_get_as_much_and_all_of_it_counts() {
+    fn costly_pilot_counts_fully_and_tiles_get_equal_samples() {
         let world = World { tiles: mixed(), rate: 2e5, before: 0.0, round: 0.1 };
         // A sample of all pixels takes one second.
         for seconds in [10.0, 20.0, 32.0] {
@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_that_the_pilot_found_dark_or_without_error_gets_a_share_all_the_same() {
+    fn tiles_dark_or_without_error_in_the_pilot_get_a_share() {
         let mut tiles = mixed();
         tiles[7].variance = 0.0;
         let ended = World { tiles, rate: 1e7, before: 0.0, round: 0.0 }.render(30.0);

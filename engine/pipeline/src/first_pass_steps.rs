@@ -137,7 +137,7 @@ mod tests {
     use femc_film::Tiling;
 
     #[test]
-    fn blocks_are_stages_before_the_others_and_tiles_read_what_the_last_of_them_makes() {
+    fn blocks_are_leading_stages_and_tiles_read_the_last_output() {
         let tiling = Tiling { width: 272, height: 256, edge: 16 };
         for (method, count) in [(Method::Fem, 7), (Method::Femc, 11)] {
             for rounds in [&[4][..], &[4, 8]] {
@@ -225,7 +225,7 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
     }
 
     #[test]
-    fn a_first_pass_in_blocks_has_the_bytes_of_one_that_is_solved_in_one_go() {
+    fn first_pass_in_blocks_has_the_bytes_of_an_undivided_one() {
         for text in [SCENE, EMPTY] {
             let prepared = prepared(text);
             for (method, blocks) in [(Method::Fem, 3), (Method::Femc, 64)] {
@@ -260,7 +260,7 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
     }
 
     #[test]
-    fn large_scenes_are_cut_into_more_blocks_and_small_ones_are_not_cut() {
+    fn large_scenes_get_more_blocks_and_small_scenes_get_one() {
         let with = |faces: usize| {
             let (text, _) = SCENE.split_once("f a b c d").unwrap();
             first_pass_blocks(&scene(&format!("{text}{}", "f a b c d\n".repeat(faces))))

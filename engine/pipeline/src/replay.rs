@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_is_of_the_halves_means_where_they_end_apart_and_leaves_out_what_the_film_refuses() {
+    fn mean_averages_half_means_and_skips_samples_the_film_refuses() {
         let gray = |value: f32| Rgb::splat(value);
         let samples = [Some(1.0), Some(10.0), Some(3.0), Some(99.0), None, Some(99.0)].map(|it| it.map(gray));
         assert_eq!(of(0, [6, 2]).mean(&samples), gray(6.0), "1 and 3, and 10 alone");

@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn each_half_ends_by_what_the_other_says_and_a_tile_goes_on_until_both_have_ended() {
+    fn halves_stop_by_each_other_and_tiles_when_both_have_stopped() {
         let errors = [[0.04, 0.04], [0.06, 0.04], [0.04, 0.06], [0.06, 0.06]].map(|pair| pair.map(Some));
         let tiles = errors.map(|pair| tile(16, pair));
         let (verdict, left) = settings(Stop::Error(0.05)).verdict(&tiles, stops(4), TIME, Some(24));
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_met_no_light_goes_on_for_a_while_and_what_nothing_is_known_of_goes_on() {
+    fn unlit_tiles_continue_to_a_limit_and_unknown_ones_continue() {
         let is_over = |samples: u32, errors: [Option<f64>; 2]| {
             let tiles = [tile(samples, errors)];
             settings(Stop::Error(0.05)).verdict(&tiles, stops(1), TIME, Some(samples + 8)).0 == RoundVerdict::Done
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn dark_blocks_are_measured_against_the_floor_of_the_first_round() {
+    fn dark_blocks_are_measured_against_the_first_round_floor() {
         let tiles = [tile(16, [Some(0.5); 2])];
         let with = |floors| {
             let before = Some(Stops { floors, ..stops(1).unwrap() });

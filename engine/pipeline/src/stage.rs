@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_group_has_a_number_of_tiles_and_of_pixels_that_it_does_not_exceed() {
+    fn groups_stay_within_their_tile_and_pixel_limits() {
         let fan = |edge| fan(&tiling([3840, 2160], edge)).get();
         assert_eq!((fan(16), fan(64), fan(1024)), (256, 64, 1), "64 x 64 x 64 pixels");
     }
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn where_another_round_may_follow_errors_decide_sums_are_kept_and_the_image_is_behind_the_loop() {
+    fn multi_round_stages_decide_keep_sums_and_put_the_image_last() {
         use StageKind::{Decide, Image, Reduce, Render};
         for film in [[64, 64], [272, 256]] {
             assert_eq!(kinds(film, 16, &[4, 8]), [Render, Reduce, Decide, Image]);
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn light_statistics_are_an_output_more_of_tiles_and_image_and_a_stage_more_of_many_tiles() {
+    fn light_statistics_add_an_output_and_a_stage_for_many_tiles() {
         let all = |film, rounds: &[u32], method| {
             let tiling = tiling(film, 16);
             let without = stages(&tiling, rounds, fan(&tiling), method);
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn a_method_with_a_first_pass_has_it_once_a_world_and_only_tiles_read_it() {
+    fn first_pass_runs_once_per_world_and_only_tiles_read_it() {
         let (tiling, method) = (tiling([272, 256], 16), Method::Fem);
         for rounds in [&[4][..], &[4, 8]] {
             let without = stages(&tiling, rounds, fan(&tiling), Method::Pt);

@@ -116,7 +116,7 @@ mod tests {
     const LAMP: [[f32; 2]; 4] = [[0.3, 0.2], [2.6, 0.5], [2.4, 1.9], [0.1, 1.2]];
 
     #[test]
-    fn the_parts_of_a_polygon_have_its_area_and_points_are_drawn_where_they_are() {
+    fn polygon_parts_add_up_to_its_area_and_contain_their_samples() {
         let mirrored = LAMP.map(|[x, y]| [-x, y]);
         for corners in [&LAMP[..], &LAMP[..3], &mirrored] {
             let whole = Outline::new(corners);

@@ -60,7 +60,7 @@ mod tests {
     use femc_scene::Sides;
 
     #[test]
-    fn a_face_from_another_corner_or_from_behind_is_a_twin_but_a_one_sided_one_from_behind_is_not() {
+    fn faces_are_twins_from_any_corner_and_reversed_if_two_sided() {
         let [a, b, c] = [Vec3A::X, Vec3A::Y, Vec3A::Z];
         let mut twins = Twins::default();
         let normal = Vec3A::ONE;

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_polygon_in_the_plane_of_a_point_sends_nothing_there_whichever_way_it_faces() {
+    fn coplanar_polygon_sends_nothing_to_a_point_facing_either_way() {
         let square = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, y]| Vec3A::new(x, y, 1e-7));
         let mut back = square;
         back.reverse();
@@ -85,7 +85,7 @@ mod tests {
 
     /// Corner unit square at height 1 above a point: 0.1385316 (brief A4).
     #[test]
-    fn a_square_has_lamberts_form_factor_and_its_part_below_the_horizon_counts_for_nothing() {
+    fn square_has_lambert_form_factor_and_is_cut_at_the_horizon() {
         let square = [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]].map(|[x, y]| Vec3A::new(x, y, 1.0));
         assert!((polygon(Vec3A::ZERO, Vec3A::Z, &square) - 0.138_531_6).abs() < 1e-6);
         let mut behind = square;

@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn the_triangles_of_spheres_and_tori_close_whatever_their_leaves() {
+    fn triangles_of_spheres_and_tori_close_for_any_leaves() {
         let (center, facing) = (Vec3A::new(1.0, 0.0, 0.0), Facing::Outward);
         let sphere = Quadric::Sphere { center, radius: 0.7, facing };
         let torus = Quadric::Torus { center, axis: Vec3A::new(0.6, 0.0, 0.8), major: 0.8, minor: 0.3, facing };

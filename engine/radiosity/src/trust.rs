@@ -70,13 +70,13 @@ mod tests {
     }
 
     #[test]
-    fn a_solution_that_keeps_less_than_is_sent_and_has_come_to_rest_is_trusted() {
+    fn converged_solution_that_gains_no_energy_is_trusted() {
         assert_eq!(of(1e-4, 100.0, 100.0), Ok(()));
         assert_eq!(of(0.0, 0.0, 0.0), Ok(()), "a dark scene");
     }
 
     #[test]
-    fn light_that_grows_does_not_rest_or_is_not_finite_is_not_trusted() {
+    fn growing_unconverged_or_nonfinite_light_is_not_trusted() {
         assert_eq!(of(1e-5, 100.0, 177.0), Err(Untrusted::Gains { ratio: 1.77 }));
         assert!(matches!(of(1e-5, 100.0, f64::NAN), Err(Untrusted::Gains { .. })));
         assert!(matches!(of(1e-5, 0.0, 1.0), Err(Untrusted::Gains { .. })), "light from nothing");

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_conductor_without_absorption_is_a_dielectric_and_silver_is_bright() {
+    fn conductor_without_absorption_is_dielectric_and_silver_bright() {
         for i in 1..=100 {
             let cos = i as f32 / 100.0;
             assert!((conductor(cos, 1.5, 0.0) - dielectric(cos, 1.5).reflectance).abs() < 2e-5);
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn mean_reflectance_of_glass_agrees_with_the_published_value_and_with_its_inside() {
+    fn mean_glass_reflectance_matches_published_and_inside_values() {
         // Diffuse Fresnel reflectance for n = 1.5: 0.0918 outside, 0.5963 inside (\[duntley1942\] and many since).
         let outside = Fresnel::Dielectric { eta: 1.5 }.mean();
         let inside = Fresnel::Dielectric { eta: 1.0 / 1.5 }.mean();

@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn sampled_normals_are_unit_upward_and_visible_even_at_grazing_angles_and_tiny_roughness() {
+    fn sampled_normals_are_valid_at_grazing_angles_and_tiny_alpha() {
         for alpha in [2e-4f32, 0.02, 0.3, 1.0] {
             for cos in [1.0f32, 0.5, 0.01, 1e-6] {
                 let wo = warp::direction(cos, 0.1);

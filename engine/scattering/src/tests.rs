@@ -166,7 +166,7 @@ fn samples_follow_the_density() {
 }
 
 #[test]
-fn a_weight_is_the_value_over_the_density_and_sides_are_told_right() {
+fn sample_weight_is_value_over_pdf_and_sides_are_correct() {
     for (k, (name, bsdf, n)) in members().into_iter().enumerate() {
         for wo in views() {
             for i in 0..2000 {
@@ -261,7 +261,7 @@ fn no_member_creates_energy() {
 }
 
 #[test]
-fn a_white_surface_without_rough_specular_parts_keeps_all_energy() {
+fn white_surface_without_rough_specular_keeps_all_energy() {
     let p = MaterialParameters::default();
     let ior = Some((1.5, 0.0));
     for (name, p) in [
@@ -351,7 +351,7 @@ fn smooth_glass_obeys_snell_and_rough_glass_tends_to_it() {
 }
 
 #[test]
-fn sheets_are_unbent_and_their_transmitted_lobe_is_the_mirrored_one() {
+fn sheets_do_not_refract_and_transmit_the_mirrored_lobe() {
     let p = MaterialParameters { rs: grey(0.4), ts: grey(0.4), ..MaterialParameters::default() };
     let clear = Bsdf::from_parameters(&MaterialParameters { rs: grey(0.0), ior: Some((1.5, 0.0)), ..p });
     let rough = Bsdf::from_parameters(&MaterialParameters { rs_alpha: 0.3, ts_alpha: 0.3, ..p });
@@ -383,7 +383,7 @@ fn a_one_sided_surface_does_nothing_behind() {
 }
 
 #[test]
-fn nothing_is_nan_at_grazing_angles_tiny_roughness_and_the_corners_of_the_square() {
+fn bsdf_is_finite_at_grazing_tiny_roughness_and_sample_corners() {
     let p = MaterialParameters { rd: grey(0.2), rs: grey(0.4), ..MaterialParameters::default() };
     let edge = [0.0f32, 1e-7, 0.5, 1.0 - f32::EPSILON / 2.0];
     let mut drawn = 0;
@@ -426,7 +426,7 @@ fn phases() -> Vec<Phase> {
 }
 
 #[test]
-fn phase_samples_follow_the_phase_function_and_keep_its_mean_cosine() {
+fn phase_samples_match_the_phase_function_and_its_mean_cosine() {
     let level = sidak(LEVEL, phases().len());
     for (k, phase) in phases().into_iter().enumerate() {
         let wo = random_direction(6, k as u64);

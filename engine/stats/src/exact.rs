@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn terms_below_2_to_the_15_with_float_precision_are_added_without_any_error() {
+    fn float_terms_below_2_to_the_15_are_added_exactly() {
         let x = f64::from(0.1f32);
         assert_eq!(sum(&[x; 8]).value(), 8.0 * x);
         assert_eq!(sum(&[1e10, 1e-10, 1e10]).value(), 2e10 + 1e-10);

@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_go_where_they_are_seen_and_take_their_patches_with_them() {
+    fn pixels_and_their_patches_move_to_where_they_are_seen() {
         let painted = painted(9, 6);
         let before = Before::new(&painted, [&[2.0; 54], &[1.0; 54]], None).expect("it fits");
         for (x, y) in [(2, 1), (8, 5), (5, 3)] {
@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_nearer_hides_what_is_behind_it_and_what_is_unknown_stays_unknown() {
+    fn nearer_pixels_hide_farther_ones_and_gaps_are_filled() {
         let painted = painted(6, 4);
         let mut motion = vec![0.0; 24];
         motion[6] = 2.0;

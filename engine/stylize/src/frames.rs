@@ -104,7 +104,7 @@ mod tests {
     use std::io::Cursor;
 
     #[test]
-    fn layers_of_light_guide_and_what_the_camera_sees_first_does_not() {
+    fn light_layers_guide_and_first_hit_features_do_not() {
         let names = ["direct.R", "direct.G", "direct.B", "albedo.R", "albedo.G", "albedo.B", "normal.X", "coverage.A"];
         let mattes = ["R", "G", "B", "A"].map(|part| format!("crypto_object00.{part}"));
         let names: Vec<&str> = names.into_iter().chain(mattes.iter().map(String::as_str)).collect();

@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_halved_image_keeps_its_mean_and_has_every_second_pixel_filtered() {
+    fn halved_image_keeps_its_mean_and_filters_every_second_pixel() {
         let flat = Planes::new(7, 5, 2, [0.25, 0.75].repeat(35)).unwrap().halved();
         assert_eq!((flat.width(), flat.height()), (4, 3));
         assert!(flat.values().chunks(2).all(|pixel| pixel == [0.25, 0.75]));

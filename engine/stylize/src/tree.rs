@@ -98,7 +98,7 @@ mod tests {
     use femc_math::hash::mix32;
 
     #[test]
-    fn points_lie_in_their_leaves_and_nodes_hold_what_their_leaves_hold() {
+    fn points_lie_in_their_leaves_and_nodes_hold_their_leaves() {
         let coordinate = |at: u32, i: usize| mix32(at * 64 + i as u32) as f32;
         for count in [1, 2, 9, 1000] {
             let points: Vec<Point> = (0..count).map(|at| std::array::from_fn(|i| coordinate(at, i))).collect();

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_duration_counts_in_the_first_bucket_that_holds_it_and_in_all_above() {
+    fn duration_counts_in_its_bucket_and_all_above() {
         let histogram = Histogram::new(&[0.5, 1.0]);
         [250, 500, 750, 3_000].into_iter().for_each(|milliseconds| histogram.note(Duration::from_millis(milliseconds)));
         assert_eq!(histogram.cumulated().collect::<Vec<_>>(), [(0.5, 2), (1.0, 3), (f64::INFINITY, 4)]);

@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_standby_is_healthy_and_not_ready_and_what_is_broken_is_neither() {
+    async fn standby_is_healthy_but_not_ready_and_broken_is_neither() {
         let status = async |path: &str, health: Health| {
             let report = || std::future::ready(Report { health: health.clone(), page: "page\n".into() });
             answer(&Method::GET, path, report).await.status().as_u16()

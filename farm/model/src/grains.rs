@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grains_of_a_task_hold_each_step_of_the_round_once_and_none_is_empty() {
+    fn chunks_of_a_task_hold_each_round_step_once_and_none_is_empty() {
         for (steps, size) in [(&[7, 100, 101][..], 64), (&[7, 100, 101], 200), (&[1000, 65_000], 1), (&[3], 1 << 40)] {
             let template = template(steps);
             for round in 0..steps.len() as u32 {
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn uneven_tasks_have_their_own_steps_and_one_without_any_has_no_keys() {
+    fn uneven_tasks_have_their_own_steps_and_empty_ones_no_keys() {
         let (template, uneven) = (template(&[4, 100]), Uneven { from: vec![4, 4, 4], to: vec![100, 4, 7] });
         for size in [0, 64, 1 << 40] {
             let grains = Grains::of(&template, 1, Some(&uneven), cut(size));

@@ -707,7 +707,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_in_a_loop_reads_what_comes_before_the_loop_as_far_as_it_reaches() {
+    fn stage_in_a_loop_reads_earlier_outputs_within_its_reach() {
         let read = |reach| {
             with(|all| {
                 let before = Template::new(StageKind::Reduce, Scope::Frame, Sizes::even(6, 1), &[Role::Numbers]);

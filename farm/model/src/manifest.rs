@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn files_beyond_their_piece_and_scenes_beyond_the_limits_are_refused() {
+    fn files_beyond_their_piece_and_oversized_scenes_are_refused() {
         for extent in [
             Extent { piece: 2, offset: 0, bytes: 0 },
             Extent { piece: 0, offset: 8, bytes: 3 },

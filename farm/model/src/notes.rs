@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn notes_beyond_their_limits_and_texts_that_steer_terminals_are_refused() {
+    fn oversized_notes_and_terminal_control_texts_are_refused() {
         let long = |n| "x".repeat(n);
         let good = JobNotes {
             comment: long(4096),

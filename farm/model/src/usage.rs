@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_noted_of_a_lease_is_one_attempt_in_whatever_order_it_came() {
+    fn notes_of_a_lease_merge_to_one_attempt_in_any_order() {
         let notes =
             [record(Ending::Lost, 10, None), record(Ending::Done, 50, Some(2.0)), record(Ending::Done, 50, Some(2.0))];
         for order in [[0, 1, 2], [1, 0, 2], [2, 1, 0]] {

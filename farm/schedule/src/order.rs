@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn who_comes_to_a_farm_that_stands_idle_is_level_with_those_who_worked_it() {
+    fn owner_new_to_an_idle_farm_is_level_with_earlier_owners() {
         let mut order = Order::default();
         order.insert(JobId(1), 50, "ann");
         order.charge("ann", 3_600_000, 0, 1);

@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_worker_that_comes_back_has_its_number_and_goes_on_counting_also_after_a_restart() {
+    fn returning_worker_keeps_number_and_counts_even_after_restart() {
         let mut roster = Roster::default();
         let (a, b) = (roster.join("a"), roster.join("b"));
         assert_eq!((a, b), (WorkerId(1), WorkerId(2)));
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_gone_is_known_with_the_last_contact_until_it_is_back_also_after_a_restart() {
+    fn offline_worker_keeps_its_last_contact_even_after_restart() {
         let mut roster = Roster::default();
         roster.observe(&[worker("a", 10), worker("b", 0)], 1000);
         assert_eq!(roster.offline(&[worker("a", 10), worker("b", 0)]), []);

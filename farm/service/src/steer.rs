@@ -88,7 +88,7 @@ mod tests {
     use crate::call::JobShape;
 
     #[tokio::test]
-    async fn frames_that_the_job_does_not_have_are_refused_before_an_image_is_read() {
+    async fn unknown_frames_are_refused_before_any_image_is_read() {
         let (calls, mut inbox) = mpsc::channel::<Call<()>>(8);
         let read = Arc::new(AtomicUsize::new(0));
         let reads = read.clone();

@@ -190,7 +190,7 @@ impl Server {
 }
 
 #[tokio::test]
-async fn every_result_has_a_path_a_media_type_and_the_name_that_fetch_gives_it() {
+async fn every_result_has_path_media_type_and_name_used_by_fetch() {
     let server = Server::start("drive", None).await;
     for (path, title, kind, name) in [
         ("7/frames/3/image.exr", "image", "image/x-exr", "drive.0003.exr"),
@@ -221,7 +221,7 @@ async fn every_result_has_a_path_a_media_type_and_the_name_that_fetch_gives_it()
 }
 
 #[tokio::test]
-async fn a_part_is_sent_alone_and_one_behind_the_end_is_refused_with_the_length() {
+async fn range_sends_only_its_bytes_and_past_end_refusal_has_length() {
     let server = Server::start("drive", None).await;
     let (path, bytes) = ("7/frames/3/image.exr", server.bytes("image").clone());
     // The last of these spans two blocks of the store.
@@ -259,7 +259,7 @@ async fn a_name_of_any_characters_stays_within_its_header() {
 }
 
 #[tokio::test]
-async fn a_result_that_is_not_made_is_not_found_and_one_that_is_damaged_or_gone_is_made_again() {
+async fn unmade_result_is_not_found_and_damaged_or_lost_one_is_remade() {
     let server = Server::start("drive", None).await;
     for path in ["7/frames/4/image.exr", "7/frames/3/painted.png", "7/frames/0/still.png", "7/frames/9/still.png"] {
         let answer = server.get(path, &[]).await;

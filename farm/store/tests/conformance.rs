@@ -219,7 +219,7 @@ async fn two_prefixes_of_a_bucket_are_two_stores() {
 }
 
 #[tokio::test]
-async fn a_store_that_is_away_is_named_with_the_cause_and_nothing_is_called_missing() {
+async fn unreachable_store_is_named_with_cause_not_called_missing() {
     let Some(store) = s3("no-such-bucket") else { return };
     // A bucket that the server does not have.
     let url = store.name().replace("femc-test", "femc-nowhere");
@@ -268,7 +268,7 @@ async fn a_damaged_artifact_is_missing_and_can_be_put_again() {
 }
 
 #[tokio::test]
-async fn the_file_of_an_upload_that_nobody_finished_is_found_and_nothing_else() {
+async fn only_files_of_unfinished_uploads_are_swept() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::folder(folder.path()).unwrap();
     store.put(Bytes::from_static(b"a tile")).await.unwrap();

@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn every_deed_is_a_line_at_once_and_a_repeated_refusal_is_counted() {
+    fn every_action_is_logged_at_once_and_repeated_refusals_counted() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("audit.jsonl");
         let audit = Audit::open(&path).unwrap();

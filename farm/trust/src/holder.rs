@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_uri_says_whose_a_certificate_is_and_nothing_else_passes_for_one() {
+    fn certificate_uri_names_its_holder_and_other_uris_are_refused() {
         let name = || "ann.b-c_1".to_owned();
         let users = Role::ALL.map(|role| Holder::User { name: name(), role });
         for holder in users.into_iter().chain([Holder::Coordinator { name: name() }, Holder::Worker { name: name() }]) {

@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_counts_as_long_as_its_line_is_there_and_its_date_is_not_over() {
+    fn token_is_valid_while_its_line_exists_and_is_not_expired() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tokens");
         assert!(matches!(Tokens::open(&path), Err(TrustError::File { .. })));

@@ -397,7 +397,7 @@ fn nonsense_is_refused_by_name() {
 }
 
 #[test]
-fn kinds_and_roles_are_numbered_on_the_wire_as_in_the_farm_s_tables() {
+fn wire_numbers_of_kinds_and_roles_match_farm_tables() {
     let named = |prefix: &str, name: &str| format!("{prefix}_{}", name.to_uppercase().replace('-', "_"));
     for kind in StageKind::ALL {
         let wire = wire::StageKind::try_from(wire::TaskKey::from(task(kind)).kind).unwrap();

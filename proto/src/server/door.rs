@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn who_says_nothing_is_let_go_of_and_who_is_introduced_may_stay_while_something_passes() {
+    async fn silent_connection_is_closed_and_introduced_one_needs_traffic() {
         let door = Door::new(Limits::default(), None, Unheard::Ignored);
         let mut silent = door.admit(far("10.0.0.1:1")).unwrap();
         let mut guest = door.admit(far("10.0.0.1:2")).unwrap();
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn who_has_got_a_file_of_the_page_and_nothing_else_is_not_noted_and_has_as_little_time() {
+    async fn page_reader_is_not_audited_and_times_out_like_silent_one() {
         let folder = tempfile::tempdir().unwrap();
         let audit = Audit::open(&folder.path().join("audit.jsonl")).unwrap();
         let door = Door::new(Limits::default(), Some(audit.clone()), Unheard::Noted);
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn so_many_from_one_place_and_so_many_in_all_and_a_seat_is_free_again() {
+    async fn connections_are_limited_per_network_and_in_all_until_closed() {
         let limits = Limits { connections: 5, connections_of_one: 2, ..Limits::default() };
         let door = Door::new(limits, None, Unheard::Ignored);
         let mut inside: Vec<_> =

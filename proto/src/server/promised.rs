@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_promise_holds_for_the_grace_period_and_is_not_made_while_garbage_goes() {
+    async fn promise_holds_for_grace_period_and_waits_for_collection() {
         let promised = Promised::default();
         let [one, two] = [Digest::of(b"one"), Digest::of(b"two")];
         promised.note(&[one]).await;
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn too_many_promises_forbid_collection_for_a_while_instead_of_filling_the_memory() {
+    fn too_many_promises_forbid_collection_to_bound_memory() {
         let promised = Promised::default();
         let digests: Vec<Digest> = (0..11u8).map(|i| Digest::of(&[i])).collect();
         promised.note_at(&digests[..10], Instant::now(), 10);

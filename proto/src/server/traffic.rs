@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_call_of_the_protocol_has_a_name_and_made_up_ones_share_one() {
+    fn every_protocol_call_has_its_name_and_unknown_ones_share_one() {
         let traffic = Traffic::default();
         let answer = |code: &str| {
             let response = Response::builder().header("grpc-status", code).body(());
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_request_over_http_counts_by_what_it_asks_for_and_not_as_a_call() {
+    fn http_requests_count_by_operation_not_as_calls() {
         let traffic = Traffic::default();
         let calls = traffic.calls.get();
         let answer = |operation: Operation, status: u16| {

@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn when_the_first_dies_one_of_those_who_wait_goes_on_and_the_others_wait_for_it() {
+    async fn one_waiter_resumes_when_first_sender_dies_and_others_wait() {
         let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
         let mut first = sends(&uploads, &store, digest, 0).await;
         first.write(b"ab").await.unwrap();
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn who_waited_does_not_throw_away_what_the_one_before_it_has_sent() {
+    async fn waiting_sender_keeps_bytes_of_previous_sender() {
         let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
         let mut first = sends(&uploads, &store, digest, 0).await;
         first.write(b"abcde").await.unwrap();
@@ -452,7 +452,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn other_bytes_than_announced_are_forgotten_and_the_right_ones_can_come() {
+    async fn mismatched_upload_is_discarded_and_right_bytes_can_follow() {
         let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
         let mut liar = sends(&uploads, &store, digest, 0).await;
         liar.write(b"xyz").await.unwrap();

@@ -107,7 +107,7 @@ fn is_mismatch(outcome: &Result<Bytes, CallError>, of: &Digest) -> bool {
 }
 
 #[tokio::test(start_paused = true)]
-async fn bytes_that_are_not_those_of_the_name_are_refused_whatever_their_size() {
+async fn bytes_that_mismatch_digest_are_refused_at_any_size() {
     let artifact = Artifact::of(TRUE);
     for pieces in [&[TRUE][..], &[b"the light ", b"of a tile"], &[b"", b"the light of a til", b"", b"e"]] {
         let client = given(pieces).await;
@@ -136,7 +136,7 @@ async fn bytes_that_are_not_those_of_the_name_are_refused_whatever_their_size() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn bytes_of_another_size_than_what_is_known_are_refused_although_their_name_is_right() {
+async fn bytes_of_unexpected_size_are_refused_despite_right_digest() {
     let Artifact { digest, bytes } = Artifact::of(TRUE);
     for known in [0, 1, bytes - 1, bytes + 1, 1 << 40, u64::MAX] {
         let liar = Arc::new(Liar { gives: vec![(vec![TRUE.into()], None)], ..Liar::default() });
@@ -215,7 +215,7 @@ async fn a_transfer_that_was_cut_is_checked_as_a_whole() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_server_that_says_that_it_has_kept_something_else_has_not_kept_what_was_put() {
+async fn put_fails_if_server_kept_another_artifact() {
     let artifact = Artifact::of(TRUE);
     let others = [
         Artifact::of(b"the light of a tale"),
@@ -234,7 +234,7 @@ async fn a_server_that_says_that_it_has_kept_something_else_has_not_kept_what_wa
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_sent_are_the_bytes_from_where_the_server_wants_them_and_all_where_it_wants_more_than_there_are() {
+async fn upload_starts_at_wanted_offset_or_at_zero_if_past_end() {
     let artifact = Artifact::of(TRUE);
     for (wants, from) in [(0, 0), (7, 7), (18, 18), (19, 19), (20, 0), (u64::MAX, 0)] {
         let liar = Arc::new(Liar { wants: Some(wants), kept: Some(artifact), ..Liar::default() });
@@ -253,7 +253,7 @@ async fn what_is_sent_are_the_bytes_from_where_the_server_wants_them_and_all_whe
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_nobody_has_offered_is_not_sent_although_the_server_misses_it() {
+async fn only_offered_artifacts_are_sent_though_server_misses_others() {
     let all = ["one", "two", "one", "three"].map(Bytes::from);
     let missing = [&all[0], &all[3], &Bytes::from_static(b"four")].map(|bytes| Digest::of(bytes)).to_vec();
     let liar = Arc::new(Liar { missing, ..Liar::default() });
@@ -261,7 +261,7 @@ async fn what_nobody_has_offered_is_not_sent_although_the_server_misses_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_long_transfer_that_is_cut_goes_on_and_what_gets_nowhere_ends() {
+async fn cut_long_transfer_resumes_and_transfer_without_progress_ends() {
     let cut = || CallError::Unreachable { url: "http://farm".into(), message: "cut".into(), why: Why::Away };
     let mut patience = Patience::new(Direction::Up);
     for reached in 1..=3 {
@@ -288,7 +288,7 @@ async fn an_upload_that_another_gets_on_with_is_not_given_up() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_another_left_that_was_not_what_it_said_does_not_spoil_an_upload() {
+async fn wrong_bytes_of_earlier_sender_do_not_spoil_upload() {
     let digest = Digest::of(b"bytes of this sender");
     let mismatch = || CallError::Refused(Refusal::DigestMismatch { digest });
     let mut patience = Patience::new(Direction::Up);

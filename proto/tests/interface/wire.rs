@@ -8,7 +8,7 @@ use std::path::Path;
 const WRITE: &str = "FEMC_WRITE_WIRE";
 
 #[test]
-fn what_was_on_the_wire_is_still_there_and_what_is_new_is_listed() {
+fn known_wire_elements_remain_and_new_ones_are_listed() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interface/wire.txt");
     let all = elements(&file());
     let now: Vec<String> = all.iter().map(Element::line).collect();

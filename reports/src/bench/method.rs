@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_method_is_found_by_its_name_and_others_are_told_which_there_are() {
+    fn every_method_is_found_by_name_and_error_lists_all_methods() {
         for method in &METHODS {
             assert_eq!(Method::named(method.name), Ok(method));
         }

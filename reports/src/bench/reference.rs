@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_without_the_references_noise_is_the_images_own_error() {
+    fn error_without_references_noise_is_images_own_error() {
         let [a, b] = [noisy(1, 0.02), noisy(2, 0.02)];
         let (reference, noise) = (mean(&a, &b), Noise::of(&a, &b));
         assert!((noise.mse / 0.01 - 1.0).abs() < 0.03, "halves of 0.02 have a mean of 0.01: {noise:?}");

@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_between_budgets_is_on_a_line_in_logarithms_and_beyond_them_nothing_is_known() {
+    fn factors_are_log_linear_between_budgets_and_unknown_beyond() {
         // Efficiency is error^-0.5, so time is error^-0.5, too.
         let factor = |error: f64| Factor { log: -0.5 * error.ln(), spread: Some((0.04, 4.0)) };
         let points = [0.1, 0.001, 0.01].map(|error| (error, factor(error)));
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn efficiency_is_one_over_error_and_time_and_what_cancels_in_each_seed_does_not_widen_its_interval() {
+    fn efficiency_is_inverse_of_error_and_time_paired_per_seed() {
         let [errors, seconds] = [[0.019, 0.02, 0.021], [4.2, 4.0, 3.8]];
         let cancels = Factor::efficiency(&errors, &seconds).expect("positive").interval();
         assert!(is_near(cancels.value, 12.5));

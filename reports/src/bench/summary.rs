@@ -251,7 +251,7 @@ mod tests {
     const NOISE: f64 = 0.25;
 
     #[test]
-    fn a_method_that_needs_half_the_time_is_twice_as_efficient_and_the_references_noise_has_no_say() {
+    fn halved_time_doubles_efficiency_without_references_noise() {
         let [pt, other] = [&METHODS[0], &METHODS[1]];
         // relmse x s is 2 for the first method and 1 for the other, which exceeds the range of the first.
         let runs: Vec<Run> =

@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_block_is_measured_by_its_mean_and_a_dark_one_against_the_floor() {
+    fn block_error_uses_its_mean_and_dark_block_uses_floor() {
         let reference = Image::filled(40, 16, [1.0; 3]);
         let mut image = reference.clone();
         // One pixel of a block of 256, and one of the last block, which has 128.

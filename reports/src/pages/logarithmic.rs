@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn points_tell_what_they_are_and_those_that_have_no_logarithm_are_left_out() {
+    fn points_have_titles_and_those_without_logarithm_are_left_out() {
         let mark = |x, y, half_width| Mark { at: (x, y), half_width, title: format!("{x} <s>") };
         let line = |marks| Line { color: RGBColor(1, 2, 3), marks };
         let marks = vec![mark(1.0, 0.5, Some(0.9)), mark(2.0, -0.1, None), mark(4.0, 0.1, Some(0.01))];

@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_route_is_smooth_stays_on_the_carriageway_and_takes_the_whole_clip() {
+    fn route_is_smooth_stays_on_carriageway_and_fills_whole_clip() {
         let keys = timed();
         for pair in keys.windows(2) {
             let ((t0, a), (t1, b)) = (pair[0], pair[1]);

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fills_up_and_stays_is_steady_and_what_goes_on_growing_is_not() {
+    fn bounded_growth_is_steady_and_unbounded_growth_is_not() {
         let day = Duration::from_secs(86_400);
         assert_eq!(growth(&gauges(|hour| (60 << 20) + ((hour % 3) << 20)), day), []);
         assert_eq!(growth(&gauges(|hour| hour.min(3) * (20 << 20)), day), []);

@@ -34,7 +34,7 @@ fn a_test_without_its_need_is_skipped_with_a_line() {
 }
 
 #[test]
-fn a_test_without_a_required_need_fails_and_says_what_is_missing_and_who_asked() {
+fn test_without_required_need_fails_naming_need_and_requester() {
     let (passes, output) = run("refs,s3", None);
     assert!(!passes && output.contains(&format!("FEMC_REQUIRE asks for s3: {THING} is not set")), "{output}");
     assert!(!output.contains("skipped"), "{output}");

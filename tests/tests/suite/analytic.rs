@@ -35,7 +35,7 @@ fn closed_box(wall: &str, extra: &str) -> String {
 }
 
 #[test]
-fn a_furnace_has_emittance_over_one_minus_reflectance_everywhere() {
+fn furnace_has_emittance_over_one_minus_reflectance_everywhere() {
     let text = closed_box(" sides 2\n c\n rd .5\n ed 3.14159265358979", "");
     agrees(&render(&scene(&text), &spp(64), 1), 2.0, 1e-4);
 }
@@ -48,7 +48,7 @@ fn a_furnace_with_glossy_walls_agrees_with_its_own_losses_only() {
 }
 
 #[test]
-fn a_furnace_of_which_nearly_nothing_is_absorbed_is_as_bright_as_any() {
+fn furnace_with_little_absorption_has_exact_brightness() {
     // A path has lost nothing when it ends, however long it is: the weights stay 1 and the variance is finite.
     for wall in [" sides 2\n c\n rd .99\n ed 3.14159265358979", " sides 2\n c\n rd .4\n rs .59 0\n ed 3.14159265358979"]
     {
@@ -147,7 +147,7 @@ fn depth_one_shows_only_what_emits() {
 }
 
 #[test]
-fn fog_behind_an_index_matched_surface_looks_like_the_same_fog_in_a_box() {
+fn fog_in_index_matched_surface_looks_like_fog_in_box() {
     let room = "camera main =\n origin 0 -4 0\n target 0 0 0\n fov 30\n film 16 16\nm lamp =\n sides 2\n c\n ed 100\n\
                 v la =\n p -1 -1 2\nv lb =\n p 1 -1 2\nv lc =\n p 1 1 2\nv ld =\n p -1 1 2\nm lamp\nf la lb lc ld\n\
                 medium fog =\n sigma_s .9\n sigma_a .1\n phase hg .3\n";
@@ -196,7 +196,7 @@ fn a_moved_scene_gives_the_same_image() {
 }
 
 #[test]
-fn a_small_lamp_that_is_placed_lights_as_much_as_one_that_is_baked() {
+fn small_placed_lamp_lights_as_much_as_baked_lamp() {
     // Regression: lights were rounded differently from the surfaces that rays hit, so shadow rays ended behind a small near lamp.
     let with = |place: &str| {
         format!(

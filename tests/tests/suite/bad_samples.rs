@@ -43,7 +43,7 @@ fn flaw(prepared: &mut Prepared, rd: Rgb) {
 }
 
 #[test]
-fn a_reflectance_that_is_not_a_number_is_counted_and_leaves_the_other_samples_right() {
+fn non_finite_reflectance_is_counted_and_spoils_no_other_sample() {
     let clean = render(|_| {});
     assert_eq!(clean.bad().total(), 0);
     for (what, rd) in [("one channel", Rgb::new(0.5, f32::NAN, 0.5)), ("all", Rgb::NAN), ("infinite", Rgb::INFINITY)] {

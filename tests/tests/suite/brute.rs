@@ -45,12 +45,12 @@ fn a_room_is_what_brute_force_says_and_a_percent_more_is_not() {
 }
 
 #[test]
-fn a_room_with_rough_mirrors_is_what_brute_force_says_and_a_percent_more_is_not() {
+fn rough_mirror_room_equals_brute_force_and_percent_more_fails() {
     check("glossy");
 }
 
 #[test]
-fn a_room_in_fog_is_what_brute_force_says_and_a_percent_more_is_not() {
+fn fog_room_equals_brute_force_and_percent_more_fails() {
     check("fog");
 }
 

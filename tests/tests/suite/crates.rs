@@ -123,7 +123,7 @@ fn what_a_row_names_is_a_direct_dependency() {
 }
 
 #[test]
-fn what_a_crate_depends_on_is_in_its_row_or_in_the_row_of_what_is() {
+fn crate_uses_only_its_row_and_rows_of_its_dependencies() {
     let (members, rows) = (members(), table());
     for (at, row) in rows.iter().enumerate() {
         let mut allowed = Names::new();
@@ -136,7 +136,7 @@ fn what_a_crate_depends_on_is_in_its_row_or_in_the_row_of_what_is() {
 }
 
 #[test]
-fn engine_and_farm_never_meet_below_the_shells_nor_in_their_tests() {
+fn engine_and_farm_never_meet_below_shells_or_in_tests() {
     let members = members();
     let is_engine = |folder: &str| folder.starts_with("engine/");
     let is_farm = |folder: &str| folder.starts_with("farm/") || folder == "proto";

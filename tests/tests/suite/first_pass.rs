@@ -99,7 +99,7 @@ fn furnace(reflectance: f64, fog: &str) -> String {
 /// Without subdivision, every point sees the whole of each wall, and the form factors are exact. With subdivision, light that a
 /// part receives through links of the whole wall is linear over the wall. This causes the error, which returns at each reflection.
 #[test]
-fn in_a_closed_box_that_shines_evenly_all_surfaces_have_the_furnace_s_light() {
+fn surfaces_of_evenly_shining_closed_box_have_furnace_light() {
     for reflectance in [0.2, 0.5, 0.9] {
         // The luminance is 1 / (1 - rd) everywhere, of which 1 comes directly from the walls.
         let want = PI * (1.0 / (1.0 - reflectance) - 1.0);
@@ -229,7 +229,7 @@ fn rectangles_have_their_form_factors() {
 }
 
 #[test]
-fn a_sphere_with_a_lamp_inside_gathers_what_an_integrating_sphere_does() {
+fn sphere_with_lamp_inside_gathers_light_as_integrating_sphere() {
     for reflectance in [0.5, 0.9] {
         let text = format!(
             "{CAMERA}m wall =\n  sides 1\n  rd {reflectance}\nv c =\n  p 0 0 0\nsph c -1\nm lamp =\n  sides 1\n  ed 100\nv l =\n  p .2 .1 0\nsph l .02\n"
@@ -303,7 +303,7 @@ fn threads_change_no_bit() {
 }
 
 #[test]
-fn a_solution_comes_back_from_its_bytes_to_the_bit_and_lights_the_frame_as_it_does_itself() {
+fn decoded_solution_is_bit_identical_and_lights_frame_equally() {
     let text = format!(
         "{}m box =\n  rd .5\nprism p0 p1 p2 p3 -.2\nm ball =\n  rd .3\nsph p6 .3\n",
         furnace(0.4, "medium air =\n  sigma_s 1\nmbox air 0 0 0 1 1 1\n")
@@ -344,7 +344,7 @@ fn frames_share_a_first_pass_if_nothing_but_the_view_changes() {
 /// The power of a lamp is a factor of all light. The solution is computed for a lamp of brightness 1, so its bytes do not depend on
 /// which job asked first.
 #[test]
-fn lamps_of_any_power_share_a_first_pass_and_its_light_is_as_much_brighter() {
+fn lamps_of_any_power_share_first_pass_and_scale_its_light() {
     let text = |power: f64| {
         let fog = "medium air =\n  sigma_s 1\nmbox air 0 0 0 1 1 1\n";
         let lamp = format!("m lamp =\n  ed {power}\nv l =\n  p .5 .5 .8\nsph l .1\n");
@@ -423,7 +423,7 @@ fn what_breaks_finite_elements_ends_all_the_same() {
 
 /// With little memory for links, they are few and coarse. Rays correct them, so the light of a room is about the same.
 #[test]
-fn links_that_have_little_memory_are_few_and_bring_about_the_same_light() {
+fn links_with_little_memory_are_few_and_give_same_light() {
     let (text, _) = furnished(Kind::Room, 3000);
     let prepared = prepare(&Source::new(scene(&text)), &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
     let solve = |memory| {

@@ -28,7 +28,7 @@ fn rare(seed: u64, rule: Rule) -> f64 {
 }
 
 #[test]
-fn a_tile_that_ends_by_its_other_half_is_right_on_average_and_one_that_ends_by_itself_is_not() {
+fn tile_stopped_by_other_half_is_unbiased_and_by_itself_is_not() {
     let mean = |rule| Measured::mean(&(0..3000).map(|seed| rare(seed, rule)).collect::<Vec<_>>());
     let crosswise = mean(Rule::Settings);
     assert!((crosswise.value - 1.0).abs() < 4.0 * crosswise.error && crosswise.error < 0.02, "{crosswise:?}");
@@ -51,7 +51,7 @@ fn room(name: &str, stop: Stop, seeds: u64) -> Verdict {
 }
 
 #[test]
-fn claimed_errors_are_the_true_ones_and_intervals_hold_what_is_true() {
+fn claimed_errors_are_true_and_intervals_hold_truth() {
     let mut covered = Vec::new();
     for (name, error) in [("box", 0.011), ("glossy", 0.013), ("fog", 0.025)] {
         let said = room(name, Stop::Spp(16), 16);
@@ -104,7 +104,7 @@ impl Coverage {
 }
 
 #[test]
-fn intervals_of_pixels_hold_the_truth_in_ninety_to_ninety_seven_of_a_hundred() {
+fn intervals_of_pixels_hold_truth_in_90_to_97_percent() {
     for name in ROOMS {
         let scene = femc_import::load_path(&rooms().join(format!("{name}.mgf")))
             .unwrap_or_else(|error| panic!("{error}"))

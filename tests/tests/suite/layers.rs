@@ -108,11 +108,11 @@ fn check(name: &str, dark: &[&str]) {
 }
 
 #[test]
-fn layers_of_a_room_with_rough_mirrors_are_the_classes_of_paths_that_brute_force_finds() {
+fn layers_of_rough_mirror_room_are_brute_force_path_classes() {
     check("glossy", &["fog"]);
 }
 
 #[test]
-fn layers_of_a_room_in_fog_are_the_classes_of_paths_that_brute_force_finds() {
+fn layers_of_fog_room_are_brute_force_path_classes() {
     check("fog", &["direct_specular", "glossy_first"]);
 }

@@ -74,7 +74,7 @@ fn albedo(kernel: &KernelMaterial, texel: Option<Rgb>, wo: Vec3A, n: u32) -> Rgb
 }
 
 #[test]
-fn ten_thousand_materials_of_the_format_return_no_more_than_they_receive() {
+fn ten_thousand_materials_return_no_more_than_they_receive() {
     let (mut rng, mut limited, mut worst) = (Rng::new(50), 0, 0.0f32);
     for _ in 0..20 {
         let text: String = (0..500).map(|k| material(&mut rng, &format!("m{k}"), false) + "v a =\nsph a 1\n").collect();
@@ -120,7 +120,7 @@ fn picture(prepared: &Prepared, settings: &Settings) -> Frame {
 }
 
 #[test]
-fn rooms_of_random_materials_are_no_brighter_than_their_lamp_and_have_no_bad_sample() {
+fn random_material_rooms_gain_no_light_and_have_no_bad_samples() {
     let mut rng = Rng::new(51);
     for k in 0..60 {
         let text = room(&material(&mut rng, "wall", true));
@@ -146,7 +146,7 @@ fn rooms_of_random_materials_are_no_brighter_than_their_lamp_and_have_no_bad_sam
 }
 
 #[test]
-fn walls_that_shine_from_both_sides_light_their_room_as_walls_that_shine_inward() {
+fn walls_emitting_on_both_sides_light_room_as_inward_ones_do() {
     for albedo in [0.5, 0.9, 0.985] {
         let mean = |sides: u32| {
             let text = format!(
@@ -180,7 +180,7 @@ fn scenes_of_the_1990s_have_no_bad_sample() {
 }
 
 #[test]
-fn a_lamp_whose_texture_is_above_1_sends_more_than_its_emittance_and_its_solution_is_trusted() {
+fn lamp_texture_above_1_raises_light_and_solution_is_trusted() {
     let text = "m wall =\n sides 2\n c\n rd .5\nm lamp =\n sides 1\n c\n ed 1000\nv a =\n p -2 -2 0\nv b =\n p 2 -2 0\nv c =\n p 2 2 0\n\
         v d =\n p -2 2 0\nm wall\nprism d c b a 3\nv e =\n p -.5 -.5 2.9\n uv 0 0\nv f =\n p -.5 .5 2.9\n uv 0 1\nv g =\n p .5 .5 2.9\n\
         uv 1 1\nv h =\n p .5 -.5 2.9\n uv 1 0\nm lamp\nf e f g h\n\

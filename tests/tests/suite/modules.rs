@@ -200,7 +200,7 @@ fn the_command_line_has_no_circle_of_imports() {
 }
 
 #[test]
-fn a_circle_is_found_through_names_and_re_exports_and_tests_make_none() {
+fn cycles_are_found_through_names_and_re_exports_not_in_tests() {
     let module = |path: &str| path.split("::").filter(|part| !part.is_empty()).map(str::to_owned).collect::<Module>();
     let invented = |texts: &[(&str, &str)]| {
         let sources = texts.iter().map(|(path, text)| (module(path), Source::of(text, path)));

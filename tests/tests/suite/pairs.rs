@@ -39,7 +39,7 @@ const FOG: &str = "medium fog =\n sigma_s .6\n sigma_a .2\n";
 const HAZE: &str = "medium haze =\n sigma_s .1\n sigma_a .02\n";
 
 #[test]
-fn fog_in_two_solids_one_behind_the_other_is_the_same_fog_in_two_boxes() {
+fn fog_in_two_solids_in_line_equals_fog_in_two_boxes() {
     let room = camera("-6 0 0", "0 0 0", 6.0) + &lamp() + FOG;
     let solids = skin("inside fog") + &block("skin", [-2.0, -1.0, -1.0], [-1.0, 1.0, 1.0]);
     let solids = solids + &block("skin", [1.0, -1.0, -1.0], [2.0, 1.0, 1.0]);
@@ -64,7 +64,7 @@ fn skins_inside_skins_are_boxes_inside_boxes() {
 }
 
 #[test]
-fn a_camera_inside_a_cloud_sees_the_same_with_a_skin_and_without() {
+fn camera_inside_cloud_sees_same_with_and_without_skin() {
     let room = camera(".1 .2 -.3", "2 0 1", 40.0) + &lamp() + FOG;
     let solid = skin("inside fog") + &block("skin", [-1.0; 3], [1.0; 3]);
     pair(&format!("{room}{solid}"), &format!("{room}mbox fog -1 -1 -1 1 1 1\n"), 1.0);
@@ -156,7 +156,7 @@ fn a_light_that_moves_hardly_is_as_bright_as_one_that_stands() {
 }
 
 #[test]
-fn a_luminaire_with_an_opening_sends_from_afar_what_a_point_sends() {
+fn luminaire_with_opening_acts_from_afar_as_point() {
     for scale in ["1", "2"] {
         let light = |file: &str| format!("ies {file}.ies -s {scale} -t 0 0 30000\n");
         pair(&floor_below("", &light("sized")), &floor_below("", &light("point")), 1.0);

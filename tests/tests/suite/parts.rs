@@ -51,7 +51,7 @@ fn each_part_is_there_once_and_names_what_there_is() {
 }
 
 #[test]
-fn what_a_crate_of_a_part_depends_on_makes_the_part_due_or_is_named_as_what_does_not() {
+fn dependencies_of_part_make_it_due_or_are_named_as_exempt() {
     let members = members();
     for part in parts() {
         let mut reached = Names::new();

@@ -63,7 +63,7 @@ fn cornell_at_a_few_samples_has_the_reference_s_mean_and_blocks() {
 }
 
 #[test]
-fn cornell_fog_at_a_few_samples_has_the_reference_s_mean_and_blocks() {
+fn cornell_fog_at_few_samples_has_reference_s_mean_and_blocks() {
     check("cornell-fog", 16, 0.01, 7.5e-2);
 }
 
@@ -134,7 +134,7 @@ mod long {
 
     #[test]
     #[ignore = "tests/all: minutes"]
-    fn roundabout_at_many_samples_has_the_reference_s_mean_and_blocks() {
+    fn roundabout_at_many_samples_has_reference_s_mean_and_blocks() {
         if let Some(c) = measure("roundabout", 512) {
             assert!((c.mean_ratio - 1.0).abs() <= 0.01, "mean ratio {}", c.mean_ratio);
             blocks_agree(&c);

@@ -39,7 +39,7 @@ fn render(prepared: &Prepared, settings: &Settings) -> FrameImage {
 }
 
 #[test]
-fn cameras_share_a_world_and_fogs_share_surfaces_and_neither_shows() {
+fn cameras_share_world_fogs_share_surfaces_and_pixels_stay_same() {
     let base = source();
     let first = variant(&base, &settings(&[]), None);
     for (change, same_world, same_surfaces) in [
@@ -65,7 +65,7 @@ fn cameras_share_a_world_and_fogs_share_surfaces_and_neither_shows() {
 }
 
 #[test]
-fn frames_in_which_nothing_moves_while_the_shutter_is_open_share_a_world_and_it_does_not_show() {
+fn frames_static_in_shutter_share_world_and_pixels_stay_same() {
     let text = ROOM.replace("medium_everywhere", "").replace("film 16 16\n", "film 16 16\n shutter 0 .5\n").replace(
         "v s =\n p .6 .1 .1\nm lamp\nsph s .1\n",
         "time 0 4 10\npath drive = spline\n key 0\n key 1 -t .2 0 0\n key 3 -t .2 0 0\n key 4 -t .2 .3 0 -ry 20\n\
@@ -95,7 +95,7 @@ fn nothing_is_shared_between_different_scenes() {
 }
 
 #[test]
-fn cameras_have_the_scene_s_middle_in_common_as_far_as_numbers_are_fine_enough() {
+fn cameras_share_scene_center_while_precision_suffices() {
     let at = |place: [f64; 3]| {
         let corner = |x: f64, y: f64| format!("p {} {} {}", place[0] + x, place[1] + y, place[2]);
         Source::new(scene(&format!(

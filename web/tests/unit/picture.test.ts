@@ -33,7 +33,7 @@ describe('colors', () => {
 
 describe('the tone curve is that of the farm', () => {
   test('the automatic exposure is that of the engine for the same pixels', () => {
-    // engine/film/src/tone.rs, `automatic_exposure_follows_the_light_and_ignores_black_and_nan`: log-average 3,
+    // engine/film/src/tone.rs, `auto_exposure_follows_the_light_and_ignores_black_and_nan`: log-average 3,
     // exposure 0.06.
     expect(autoExposure([1, 9, 0, NaN])).toBeCloseTo(0.06, 5);
     expect(autoExposure([0, NaN])).toBe(1);

@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_are_added_up_in_a_tree_and_a_graph_with_a_clip_can_be_run() {
+    fn levels_are_reduced_in_tree_and_graph_with_clip_is_valid() {
         use {Role::*, StageKind::*};
         for rounds in [&[4][..], &[4, 8, 16]] {
             for (fan, clip) in [(0, "clip.mp4"), (2, "clip.png")] {
@@ -371,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn a_task_of_the_largest_film_s_clip_reads_what_an_assignment_can_name() {
+    fn clip_task_of_largest_film_stays_within_assignment_inputs() {
         let rounds: Vec<u32> = (0..Graph::MAX_ROUNDS).map(|round| 4 + round).collect();
         let tiles = Graph::MAX_TASKS;
         let mut graph = femc_model::testing::frames(Sizes::even(tiles, 64), &rounds, 256);
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_graph_without_a_wish_stays_as_it_is_and_one_with_stills_makes_no_clip() {
+    fn graph_without_wish_is_unchanged_and_stills_make_no_clip() {
         let plain = femc_model::testing::frames(Sizes::even(4, 64), &[4], 0);
         let mut graph = plain.clone();
         Wish::default().add_to(&mut graph, 3);
@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn a_painted_job_is_a_chain_of_its_frames_beside_what_else_is_shown() {
+    fn painted_job_chains_its_frames_beside_other_outputs() {
         let painting = Some(Painting { style: "oil".into(), boil: 0.25 });
         for stills in [false, true] {
             let mut graph = femc_model::testing::frames(Sizes::even(4, 64), &[4], 0);

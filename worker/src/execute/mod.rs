@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_task_that_its_job_s_graph_does_not_have_or_that_unites_nothing_fails_the_job() {
+    async fn task_outside_its_graph_or_reducing_nothing_fails_job() {
         let unfit = [
             reduced(Reach::Fan(2), |task| task.assignment.task.stage.number = 2).await,
             reduced(Reach::Fan(2), |task| task.assignment.task.stage.kind = StageKind::Image).await,

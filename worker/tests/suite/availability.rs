@@ -14,7 +14,7 @@ use femc_worker::{Availability, Shift, Worker};
 use tokio::time::Instant;
 
 #[tokio::test(start_paused = true)]
-async fn at_the_end_of_its_hours_a_worker_finishes_its_task_and_begins_none_until_they_come_again() {
+async fn off_duty_worker_finishes_task_and_begins_none_until_on_duty() {
     let (net, connections) = Net::new();
     let config = Config { time: common::time(), ..Config::default() };
     let farm = Coordinator::on(connections, config, Store::memory(), Memory::default()).await.unwrap();

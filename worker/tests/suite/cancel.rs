@@ -57,7 +57,7 @@ async fn free_after_cancel(client: &Client, endless: JobId) -> Duration {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cancelled_task_that_renders_ends_even_in_the_middle_of_a_pixel() {
+async fn cancelled_render_task_ends_even_within_a_pixel() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
@@ -94,7 +94,7 @@ fn large(triangles: u32) -> Bundle {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_worker_that_prepares_a_large_scene_is_free_before_the_scene_is_ready() {
+async fn cancelled_worker_is_free_before_large_scene_is_prepared() {
     let settings = Settings { stop: Stop::Spp(1), ..Settings::default() };
     // Find a scene that takes more than three seconds to read and prepare on this machine with this build.
     let mut triangles = 20_000;

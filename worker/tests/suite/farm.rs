@@ -180,7 +180,7 @@ fn exr_layers(bytes: &[u8]) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_frame_of_groups_is_the_frame_of_all_its_tiles_to_the_bit_over_several_rounds_too() {
+async fn frame_of_groups_equals_frame_of_tiles_over_several_rounds() {
     // This error is never reached, so all rounds run.
     for stop in [Stop::Spp(8), Stop::Error(0.05)] {
         let mut all = Vec::new();
@@ -307,7 +307,7 @@ fn halves(stop: Stop, fan: u32) -> (JobSpec, Vec<u8>) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn calm_tiles_get_fewer_samples_and_the_frame_is_the_same_whoever_renders_it_in_whatever_parts() {
+async fn calm_tiles_get_fewer_samples_and_any_split_gives_same_frame() {
     let stop = Stop::Error(0.012);
     let mut all = Vec::new();
     // One worker; three workers, of which one vanishes at the end of a round; sample chunks of few samples, in groups of two tiles.
@@ -394,7 +394,7 @@ async fn a_broken_scene_fails_its_job_and_the_next_job_is_done() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cancelled_job_frees_its_worker_and_a_stopped_worker_gives_its_tasks_back() {
+async fn cancelled_job_frees_worker_and_stopped_worker_returns_tasks() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let endless = submit(&client, job(SCENE, &settings(Stop::Spp(1 << 24)))).await;
@@ -416,7 +416,7 @@ async fn a_cancelled_job_frees_its_worker_and_a_stopped_worker_gives_its_tasks_b
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_worker_waits_for_its_coordinator_and_impatient_ones_give_up() {
+async fn worker_waits_for_coordinator_and_impatient_one_gives_up() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let address = farm.address();
     farm.stop().await.unwrap();
@@ -461,7 +461,7 @@ fn fields(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_light_of_a_first_pass_that_is_lost_is_found_again_and_the_pixels_are_the_same() {
+async fn lost_first_pass_light_is_found_again_with_same_pixels() {
     let mut all = Vec::new();
     for is_lost in [false, true] {
         let folder = tempfile::tempdir().unwrap();
@@ -491,7 +491,7 @@ async fn the_light_of_a_first_pass_that_is_lost_is_found_again_and_the_pixels_ar
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_first_pass_under_another_s_key_and_frames_without_one_fail_the_job() {
+async fn first_pass_with_foreign_key_or_missing_one_fails_job() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let one = worker(&farm, 1);

@@ -31,7 +31,7 @@ fn left(assignment: &Assignment, left: u64) -> Vec<LeaseLeft> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_told_that_the_lease_holds() {
+async fn worker_of_silent_coordinator_reports_only_with_renewed_lease() {
     let (spec, bundle) = job(4);
     let store = Store::memory();
     store.put(bundle.into()).await.unwrap();
@@ -115,7 +115,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_partitioned_worker_costs_nothing_and_joins_again_when_the_network_is_back() {
+async fn partitioned_worker_costs_nothing_and_rejoins_afterwards() {
     let (net, connections) = Net::new();
     let config = Config { time: common::time(), ..Config::default() };
     let store = Store::memory();

@@ -106,7 +106,7 @@ async fn a_second_job_of_a_scene_downloads_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_scene_that_has_lost_a_piece_fails_its_job_by_name_and_can_be_submitted_again() {
+async fn scene_with_lost_piece_fails_job_by_name_and_can_be_resent() {
     let store = Store::memory();
     let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();

@@ -292,7 +292,7 @@ mod tests {
     use femc_reports::bench::method::METHODS;
 
     #[test]
-    fn methods_stand_side_by_side_in_each_seed_however_many_budgets_they_have() {
+    fn methods_alternate_within_each_seed_for_any_budget_counts() {
         let ladders: Vec<Ladder> = vec![(&METHODS[0], vec![1.0, 4.0, 16.0]), (&METHODS[1], vec![0.5])];
         let shown: Vec<String> = order(&ladders, &[7, 8])
             .iter()

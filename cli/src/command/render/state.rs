@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_is_found_again_by_the_same_identity_and_emptied_by_another() {
+    fn state_is_reused_for_same_identity_and_cleared_for_another() {
         let place = tempfile::tempdir().expect("a folder");
         let folder = place.path().join("out/.femc");
         let open = |seed| State::open(&folder, &identity(seed), Old::Keep).expect("a state");

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_ending_in_exr_or_png_is_an_image_and_keeps_its_state_beside_it() {
+    fn exr_and_png_names_are_images_with_their_state_beside_them() {
         let target = of("a/b.exr", 1).expect("a target");
         assert_eq!(target.path(7), Path::new("a/b.exr"));
         assert_eq!(target.state(), Path::new("a/b.exr.femc"));

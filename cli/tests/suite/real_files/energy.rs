@@ -7,7 +7,7 @@ use crate::common::film;
 const LAMP: f32 = 1000.0 / std::f32::consts::PI;
 
 #[test]
-fn a_room_in_saturated_red_gloss_is_no_brighter_than_its_lamp_by_any_method() {
+fn red_gloss_room_is_no_brighter_than_its_lamp_by_any_method() {
     let place = place();
     // The first pass is exact to a few percent.
     for (method, most) in [("pt", 1.005), ("fem", 1.03), ("femc", 1.005)] {
@@ -33,7 +33,7 @@ const WHITE_BOX: &str = "camera main =\n origin .3 .2 .1\n target 1 .4 0\n fov 6
     prism a b c d -2\n";
 
 #[test]
-fn a_first_pass_that_cannot_be_trusted_fails_with_what_to_use_instead() {
+fn untrusted_first_pass_fails_and_names_the_alternative() {
     let place = place();
     place.write("white.mgf", WHITE_BOX);
     for method in ["fem", "femc"] {

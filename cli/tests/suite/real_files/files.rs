@@ -27,7 +27,7 @@ fn are_near(means: [f64; 3], wanted: [f64; 3], tolerance: f64) -> bool {
 }
 
 #[test]
-fn all_undefined_materials_are_listed_at_once_with_their_definition() {
+fn undefined_materials_are_all_listed_with_their_definition() {
     let place = place();
     let names = [(8, "oak"), (10, "slate"), (12, "chalk"), (14, "brass"), (16, "wool")];
     let listed = faults(&place, "undefined.mgf");
@@ -52,7 +52,7 @@ fn all_undefined_materials_are_listed_at_once_with_their_definition() {
 }
 
 #[test]
-fn a_file_name_with_blanks_needs_quotes_and_the_error_shows_them() {
+fn file_names_with_blanks_need_quotes_and_the_error_shows_them() {
     let place = place();
     for (scene, shown) in [
         (

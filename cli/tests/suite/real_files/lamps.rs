@@ -208,7 +208,7 @@ fn blocks_without_light_are_counted_on_the_terminal_and_in_json() {
 }
 
 #[test]
-fn the_first_pass_names_the_share_of_light_that_goes_through_solids() {
+fn first_pass_names_the_share_of_light_through_solids() {
     let place = place();
     let ran = place.run("render glass-globe-bulb.mgf -o fem.exr --spp 4 --method fem").exits(0);
     assert!(

@@ -18,7 +18,7 @@ fn assert_lumens(place: &Place, scene: &str, expected: f64) {
 }
 
 #[test]
-fn the_field_after_the_ballast_factor_counts_in_1991_and_is_a_code_in_2019() {
+fn field_after_ballast_factor_scales_in_1991_but_not_in_2019() {
     let place = place();
     assert_lumens(&place, "flux-2019.mgf", 2290.0);
     assert_lumens(&place, "flux-1991.mgf", 2519.0);
@@ -51,7 +51,7 @@ fn decimal_commas_are_named_and_commas_that_separate_work() {
 }
 
 #[test]
-fn old_line_ends_utf_16_and_byte_order_marks_are_read_in_lamps_and_scenes() {
+fn old_line_ends_utf_16_and_boms_are_read_in_lamps_and_scenes() {
     let place = place();
     for scene in ["flux-cr.mgf", "flux-utf16.mgf", "flux-bom.mgf", "scene-cr.mgf", "scene-utf16.mgf"] {
         assert_lumens(&place, scene, 2549.0);

@@ -26,7 +26,7 @@ fn the_prefix_of_other_renderers_is_taken_off() {
 }
 
 #[test]
-fn a_layer_that_nothing_in_the_scene_can_make_is_warned_about_with_a_hint() {
+fn layer_that_stays_black_is_warned_about_with_a_hint() {
     let place = place();
     let ran = run(&place, "render rough-only.mgf -o x.exr --spp 16 --threads 1 --layer", &["t=CS[DS]*L"]).exits(0);
     let warning = "femc: warning: layer `t` stays black: no surface of the scene makes the event `S`";
@@ -110,7 +110,7 @@ fn objects_of_one_name_do_not_merge_without_a_word() {
 }
 
 #[test]
-fn an_object_called_default_does_not_merge_with_what_is_in_none_without_a_word() {
+fn object_named_default_gets_a_warning_about_its_cryptomatte_id() {
     let place = place();
     place.write("two.mgf", &two("o default;F;o", "F"));
     let check = place.run("check two.mgf").exits(0).stdout();

@@ -201,7 +201,7 @@ fn street() -> Vec<Light> {
 }
 
 #[test]
-fn under_street_lamps_the_choice_is_nearly_in_proportion_to_what_they_send() {
+fn street_lamp_choice_is_nearly_proportional_to_sent_light() {
     let lights = street();
     let many = in_haze(&lights, 0.0);
     for i in 0..500 {
@@ -222,7 +222,7 @@ fn under_street_lamps_the_choice_is_nearly_in_proportion_to_what_they_send() {
 }
 
 #[test]
-fn lights_in_one_spot_without_power_and_without_end_are_no_trouble() {
+fn coincident_powerless_and_infinite_lights_are_handled() {
     let ball =
         |power: f32| Light::Sphere(Sphere::new(Vec3A::ONE, 0.1, emission(Sides::One, Profile::Lambertian, power)));
     let lights: Vec<Light> = (0..3000).map(|i| ball(if i % 3 == 0 { 0.0 } else { 1.0 })).collect();

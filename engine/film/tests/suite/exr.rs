@@ -206,7 +206,7 @@ fn says_long_names(file: &[u8]) -> bool {
 }
 
 #[test]
-fn a_file_says_that_it_has_long_names_if_and_only_if_a_channel_has_one() {
+fn long_name_flag_is_set_exactly_when_a_channel_name_is_long() {
     let values = [1.0, 2.0];
     let file = |name: &str| {
         let channel = film_exr::NamedChannel { name, values: &values, precision: film_exr::Precision::Float };

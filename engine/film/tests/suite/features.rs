@@ -72,7 +72,7 @@ fn samples_in_any_parts_and_order_have_the_same_bytes() {
 }
 
 #[test]
-fn an_image_has_means_over_what_was_met_and_shares_of_the_samples_by_rank() {
+fn feature_image_has_hit_means_and_sample_shares_by_rank() {
     let count = 60;
     let mut piece = BesidePiece::new(Tiling::new(5, 3, 8).unwrap(), 0);
     piece.put(&both(0..count), OPEN).unwrap();

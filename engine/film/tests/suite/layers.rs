@@ -83,7 +83,7 @@ fn resolved(parts: &[std::ops::Range<u32>], ends: [u32; 2], group: usize) -> Vec
 }
 
 #[test]
-fn layers_in_any_parts_and_groups_are_the_same_and_sum_up_to_the_picture_also_where_halves_are_held() {
+fn layers_ignore_partition_and_grouping_and_sum_to_the_picture() {
     for ends in [OPEN, [4, u32::MAX], [8, 4]] {
         let whole = resolved(&[0..4, 4..8, 8..12], ends, 1);
         // In another order, one part twice, in larger groups; as one single part only if nothing is held.
@@ -163,7 +163,7 @@ fn lit(layers: u64, value: f32) -> TakenLight {
 }
 
 #[test]
-fn light_that_layers_take_together_counts_in_each_of_them_however_the_sets_overlap() {
+fn light_shared_by_layers_counts_in_each_for_any_overlap() {
     let rect = tiling().rect(0).unwrap();
     let colors = |tile: &LayerTile| -> Vec<f32> {
         let mut piece = LayerPiece::new(tiling(), 0);

@@ -127,7 +127,7 @@ fn overlapping_ranges_are_an_error_and_change_nothing() {
 }
 
 #[test]
-fn a_planted_nan_is_counted_with_its_place_and_leaves_the_pixel_alone() {
+fn nan_sample_is_counted_with_its_place_and_changes_no_pixel() {
     let rect = Rect { x: 0, y: 0, width: 2, height: 2 };
     let mut clean = Tile::new(rect, 0..4).unwrap();
     let mut planted = clean.clone();
@@ -222,7 +222,7 @@ proptest! {
 }
 
 #[test]
-fn a_sum_across_an_end_cannot_be_held_and_an_end_never_moves_back() {
+fn sum_across_an_end_cannot_be_held_and_ends_never_move_back() {
     let mut tile = render(RECT, 0..8);
     let before = tile.clone();
     assert!(tile.hold([4, 8]).is_err());

@@ -54,7 +54,7 @@ fn a_brightness_factor_shows_in_the_mean_ratio() {
 }
 
 #[test]
-fn flip_does_not_depend_on_the_unit_of_luminance_and_is_symmetric_in_kind() {
+fn flip_is_independent_of_the_luminance_unit() {
     let (a, b) = (noise(40, 40, 5, 0.6), noise(40, 40, 6, 0.6));
     let scaled = |i: &Image| Image { pixels: i.pixels.iter().map(|p| p.map(|v| v * 1024.0)).collect(), ..i.clone() };
     let flip = compare(&a, &b).unwrap().flip;

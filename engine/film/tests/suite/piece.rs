@@ -86,7 +86,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: proptest::test_runner::RngSeed::Fixed(5), ..ProptestConfig::default() })]
 
     #[test]
-    fn tiles_of_different_counts_give_the_same_bits_in_any_parts_order_and_grouping(
+    fn uneven_tiles_are_bit_identical_for_any_parts_and_order(
         counts in prop::collection::vec(1u32..40, 6),
         cuts in prop::collection::vec(1u32..40, 0..6),
         group in 1usize..7,
@@ -140,7 +140,7 @@ fn unit(x: u32, y: u32, i: u32, place: u64) -> f32 {
 }
 
 #[test]
-fn the_variance_of_a_block_and_the_bounds_of_its_halves_are_those_of_independent_samples() {
+fn block_variance_and_bounds_match_independent_samples() {
     for samples in [16, 20, 63] {
         let all: Vec<TileErrors> = (0..64).map(|place| block(0..samples, |x, y, i| unit(x, y, i, place))).collect();
         // A uniform number has the variance 1/12.
@@ -162,7 +162,7 @@ fn the_variance_of_a_block_and_the_bounds_of_its_halves_are_those_of_independent
 }
 
 #[test]
-fn a_bound_counts_on_light_that_was_not_met_and_a_pixel_that_is_always_bad_does_not_hold_up_its_tile() {
+fn bounds_include_unseen_light_and_ignore_always_bad_pixels() {
     // A constant: nothing varies, but three more events of the brightest sample's size may be unseen.
     let tile = block(0..16, |_, _, _| 2.0);
     assert_eq!((tile.blocks[0].block.variance, tile.blocks[0].halves[0].bound), (0.0, 3.0 * (2.0f64 / 8.0).powi(2)));

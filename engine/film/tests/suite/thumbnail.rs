@@ -42,7 +42,7 @@ fn pixels(frame: &Frame) -> Vec<Vec<femc_film::tile::PixelSums>> {
 }
 
 #[test]
-fn the_thumbnails_of_a_tile_s_parts_add_up_to_its_own_in_any_cut() {
+fn part_thumbnails_of_a_tile_sum_to_its_own_for_any_cut() {
     let whole = thumbnails(16, &[0, 12]);
     for cuts in [&[0, 1, 12][..], &[0, 3, 4, 11, 12]] {
         assert_eq!(pixels(&thumbnails(16, cuts)), pixels(&whole), "{cuts:?}");
@@ -77,7 +77,7 @@ fn levels_do_not_depend_on_the_tiles_and_add_up_in_any_order() {
 }
 
 #[test]
-fn the_levels_of_an_image_are_those_of_its_thumbnails_but_for_rounding() {
+fn image_levels_equal_thumbnail_levels_up_to_rounding() {
     let mut frame = Frame::new(FILM);
     for rect in FILM.rects() {
         frame.insert(render(rect, 0..12)).unwrap();
@@ -92,7 +92,7 @@ fn the_levels_of_an_image_are_those_of_its_thumbnails_but_for_rounding() {
 }
 
 #[test]
-fn the_exposure_of_levels_is_within_half_a_bin_of_that_of_their_blocks() {
+fn level_exposure_is_within_half_a_bin_of_block_exposure() {
     // A 32nd of an octave, and the rounding of floats.
     let most = std::f32::consts::LN_2 / 32.0 + 1e-5;
     for samples in [1, 3, 12] {

@@ -81,7 +81,7 @@ fn a_ray_that_leaves_an_instance_does_not_hit_the_same_surface() {
 }
 
 #[test]
-fn a_moving_instance_is_where_its_pose_says_and_inside_its_bounds() {
+fn moving_instance_follows_its_pose_within_its_bounds() {
     let mut random = Random(22);
     for _ in 0..30 {
         let poses: Vec<Affine3A> = (0..3).map(|_| random_pose(&mut random, false)).collect();

@@ -121,7 +121,7 @@ fn a_ring_is_hit_between_its_radii_only() {
 }
 
 #[test]
-fn normals_face_front_and_positions_lie_on_the_surface_within_the_bound() {
+fn normals_face_front_and_positions_are_within_the_error_bound() {
     let mut random = Random(11);
     for power in [-2, 0, 2] {
         let scale = 10.0f32.powi(power);

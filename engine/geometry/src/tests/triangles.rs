@@ -62,7 +62,7 @@ fn the_closest_hit_is_that_of_brute_force() {
 }
 
 #[test]
-fn no_ray_slips_between_triangles_that_share_an_edge_or_a_vertex() {
+fn no_ray_slips_between_triangles_with_a_shared_edge_or_vertex() {
     let triangles = bumpy_sphere(24, 48, 1.5);
     let world = world(triangles.clone(), vec![]);
     let mut random = Random(2);
@@ -197,7 +197,7 @@ fn one_sided_triangles_are_not_there_from_behind() {
 }
 
 #[test]
-fn what_has_no_area_or_is_not_finite_is_never_hit_and_keeps_its_index() {
+fn degenerate_triangles_are_never_hit_and_keep_their_index() {
     let [a, b, c] = [Vec3A::ZERO, Vec3A::X, Vec3A::Y];
     let bad =
         [triangle(a, b, b), triangle(a, b, b * 2.0), triangle(a, b * f32::NAN, c), triangle(a, b * f32::INFINITY, c)];

@@ -28,7 +28,7 @@ fn agree(world: &World, random: &mut Random, rays: usize) -> usize {
 }
 
 #[test]
-fn vector_and_portable_kernels_give_the_same_bits_on_random_scenes() {
+fn vector_and_portable_kernels_are_bit_identical_on_scenes() {
     let mut random = Random(30);
     for count in [1, 5, 12, 36, 100, 1500, 5000] {
         let sphere = Quadric::Sphere { center: random.point(2.0), radius: 0.5, facing: Facing::Outward };

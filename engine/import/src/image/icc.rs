@@ -65,7 +65,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn both_kinds_of_names_are_read_and_a_profile_cut_anywhere_has_none() {
+    fn both_name_kinds_are_read_and_truncated_profiles_have_none() {
         for is_unicode in [true, false] {
             let whole = profile("Adobe RGB (1998)", is_unicode);
             assert_eq!(description(&whole).as_deref(), Some("Adobe RGB (1998)"));

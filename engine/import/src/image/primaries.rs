@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn rec_709_in_other_digits_needs_no_matrix_and_points_on_a_line_have_none() {
+    fn rec_709_needs_no_matrix_and_collinear_primaries_have_none() {
         assert_eq!(Matrix::to_rec709(REC709), Ok(None));
         let digits = [[0.64, 0.33], [0.3, 0.6], [0.15, 0.06], [0.313, 0.329]];
         assert_eq!(Matrix::to_rec709(digits), Ok(None));

@@ -90,7 +90,7 @@ proptest! {
 }
 
 #[test]
-fn each_piece_alone_is_the_law_in_small_and_the_first_error_met_is_that_of_a_plain_import() {
+fn each_piece_lists_its_errors_including_that_of_a_plain_import() {
     for piece in PIECES {
         let text = format!("medium gas =\nsigma_s 1\nv a =\nv b =\n\tp 1 0 0\n{}", piece.replace('#', "7"));
         let planted = planted(&text);
@@ -137,7 +137,7 @@ fn all_undefined_materials_are_named_once_with_their_definition() {
 }
 
 #[test]
-fn a_name_that_is_defined_after_its_first_use_is_an_error_at_its_first_use_alone() {
+fn late_definition_is_an_error_only_at_the_first_use() {
     let text = "v a =\nm oak\nsph a 1\nm oak =\n\trd .5\nm oak\nxf -path p\nxf\npath p = linear\nkey 0\nring x 1 2\nv x =\nring x 1 2\n";
     assert_eq!(places(text), ["2:3", "7:10", "11:6", "13:6"]);
 }
@@ -150,14 +150,14 @@ fn names_that_a_skipped_include_may_define_are_no_errors() {
 }
 
 #[test]
-fn errors_of_included_files_come_after_those_of_the_file_that_includes_them_and_are_said_once() {
+fn errors_in_includes_follow_the_includer_and_are_listed_once() {
     let listed = errors("i part.mgf\ni part.mgf -t 0 0 1\nrd 2\n", &[("part.mgf", "v a =\np x\nm no\n")]);
     let places: Vec<String> = listed.errors.iter().map(|error| error.at.to_string()).collect();
     assert_eq!(places, ["t.mgf:3:4", "part.mgf:2:1", "part.mgf:3:3"]);
 }
 
 #[test]
-fn the_list_ends_with_its_hundredth_error_or_with_a_limit_on_memory() {
+fn error_list_ends_at_100_errors_or_the_memory_limit() {
     let listed = errors(&"rd 2\n".repeat(MAX_ERRORS + 50), &[]);
     assert_eq!((listed.errors.len(), listed.complete), (MAX_ERRORS, false));
     let listed = errors("v a =\nrd 2\nxf -a 1e8 -t 1 0 0\nsph a 1\nsph a 1\nxf\nrd 2\n", &[]);

@@ -204,7 +204,7 @@ fn includes_are_limited_in_depth_and_circles_are_found() {
 }
 
 #[test]
-fn includes_that_double_at_each_level_are_stopped_by_their_volume() {
+fn doubling_includes_are_stopped_by_the_included_file_limit() {
     let files: Vec<(String, String)> = (0..40)
         .map(|k| (format!("f{k}.mgf"), format!("i f{0}.mgf\ni f{0}.mgf\n", k + 1)))
         .chain([("f40.mgf".into(), String::new())])

@@ -18,7 +18,7 @@ fn material<'s>(scene: &'s Scene, name: &str) -> &'s Material {
 }
 
 #[test]
-fn the_default_colour_is_white_and_a_material_captures_the_current_one() {
+fn default_color_is_white_and_materials_capture_the_current_one() {
     let scene = scene("m a =\nrd .4\nc\ncrgb 1 0 0\nrs .3 .1\nc\ncrgb 0 1 0\nm b = a\ntd .2");
     let (a, b) = (material(&scene, "a"), material(&scene, "b"));
     assert_eq!(a.rd, Tinted { amount: 0.4, color: [1.0; 3] });
@@ -59,7 +59,7 @@ fn chromaticities_have_luminance_one_and_raw_colours_stay_raw() {
 }
 
 #[test]
-fn a_material_changed_after_use_is_a_new_entry_and_an_equal_one_is_not() {
+fn changed_material_is_a_new_entry_and_an_equal_one_is_not() {
     let text = format!("{SQUARE}m x =\nrd .2\nf a b c\nrd .6\nf a c d\nm x\nf a b c\nm x =\nrd .2\nf a b c\n");
     let scene = scene(&text);
     let rd: Vec<f64> = scene.materials.iter().map(|m| m.rd.amount).collect();
@@ -103,7 +103,7 @@ fn a_sum_above_one_is_scaled_to_one_whatever_it_is() {
 }
 
 #[test]
-fn negative_values_of_a_spectrum_are_taken_as_zero_with_one_warning() {
+fn negative_spectrum_values_become_zero_with_one_warning() {
     let loaded = try_scene("\ncspec 400 700 1 -1 .5 -2\nm a =\ned 1\nc\ncspec 400 700 1 0 .5 0\nm b =\ned 1").unwrap();
     assert_eq!(loaded.scene.materials[0].ed, loaded.scene.materials[1].ed);
     let said: Vec<_> = loaded.warnings.iter().map(|w| w.to_string()).filter(|w| w.contains("negative")).collect();
@@ -111,7 +111,7 @@ fn negative_values_of_a_spectrum_are_taken_as_zero_with_one_warning() {
 }
 
 #[test]
-fn a_chromaticity_without_luminance_becomes_the_nearest_visible_one_with_a_warning() {
+fn zero_luminance_chromaticity_maps_to_nearest_with_warning() {
     let loaded = try_scene("c\ncxy .4 0\nm a =\ned 1\nc\ncxy 0 0\ncxy 1 0").unwrap();
     let color = loaded.scene.materials[0].ed.color;
     assert!((luminance(color) - 1.0).abs() < 1e-6 && color[1] < color[0] && color[1] < color[2], "purple: {color:?}");
@@ -174,7 +174,7 @@ fn an_unfinished_camera_has_the_defaults_of_the_format() {
 }
 
 #[test]
-fn media_take_colours_only_when_raw_and_their_own_and_fill_boxes_and_everything() {
+fn media_use_only_their_own_colors_and_fill_boxes_or_all_space() {
     let scene = scene(
         "c\ncrgb .9 .1 .1\nmedium fog =\nsigma_s .5\nsigma_a .1\nphase hg .7\nc\ncct 3000\nglow 2\ndensity height 1 4\n\
         medium smoke = fog\nc\ncrgb 1 .5 .2\nsigma_s 2\nphase schlick -.3\nmglobal fog\n\
@@ -268,7 +268,7 @@ fn what_an_included_file_leaves_open_ends_with_it() {
 const LAMP: &str = "IESNA91\nTILT=NONE\n1 1000 1 2 1 1 2 0 0 0 1 1 100\n0 90 0 100 50\n";
 
 #[test]
-fn a_luminaire_stands_where_its_transform_puts_it_and_shares_its_photometry() {
+fn luminaire_has_its_transform_and_shares_its_photometry() {
     let loaded = try_files(&[
         ("t.mgf", "c\ncrgb 2 2 2\no lamp\nies l/a.ies -m .5 -t 0 0 3\nies l/a.ies\no\nies l/a.ies -a 2 -t 1 0 0\n"),
         ("l/a.ies", LAMP),

@@ -160,7 +160,7 @@ fn a_missing_file_is_looked_up_at_its_first_use_alone() {
 }
 
 #[test]
-fn a_folder_on_disk_names_its_files_and_none_outside_of_the_root() {
+fn folder_suggests_its_file_names_and_none_outside_the_root() {
     let root = tempfile::tempdir().unwrap();
     std::fs::create_dir(root.path().join("in")).unwrap();
     std::fs::write(root.path().join("Lamp.ies"), LAMP).unwrap();

@@ -108,7 +108,7 @@ fn products_of_arrays_are_refused_before_they_are_made() {
 }
 
 #[test]
-fn the_mirror_image_of_a_solid_is_a_solid_with_its_front_sides_out() {
+fn mirrored_solids_keep_their_front_sides_out() {
     let prism = "v a =\np 1 0 0\nv b =\np 2 0 0\nv c =\np 1 1 0\n";
     for (open, center) in [("xf -mx", -4.0f64 / 3.0), ("xf -rz 0", 4.0 / 3.0), ("xf -s -1", -4.0 / 3.0)] {
         let scene = scene(&format!("{prism}{open}\nprism a b c 1\nsph a .5\nxf"));
@@ -163,7 +163,7 @@ fn mirrors_above_nested_groups_reach_all_of_them() {
 }
 
 #[test]
-fn prisms_close_and_face_outward_or_inward_by_the_sign_of_their_length() {
+fn prisms_are_closed_and_sign_of_length_sets_their_facing() {
     for (length, sign) in [(2.0, 1.0), (-2.0, -1.0)] {
         let scene = scene(&format!("{SQUARE}prism a b c d {length}"));
         let triangles = world_triangles(&scene);
@@ -193,7 +193,7 @@ fn normals_of_a_prism_smooth_its_sides_only() {
 }
 
 #[test]
-fn round_shapes_keep_their_measures_and_negative_radii_face_inward() {
+fn round_shapes_keep_measures_and_negative_radii_face_inward() {
     let scene = scene(
         "v a =\np 0 0 0\nn 0 0 3\nv b =\np 0 0 2\nxf -s 2\nsph a -1\ncyl a 1 b\ncyl a -1 b\ncone a 1 b 0\ncone a 0 b -1\n\
         ring a 0 1\ntorus a 1 3\ntorus a -1 -3\ntorus a 0 -2\nxf",

@@ -42,7 +42,7 @@ fn close(a: [f64; 3], b: [f64; 3], tolerance: f64) -> bool {
 }
 
 #[test]
-fn colors_outside_rec_709_whose_mixture_is_inside_mix_without_loss_and_without_a_warning() {
+fn outside_colors_mix_inside_rec_709_without_loss_or_warning() {
     // Spectral colors of 500 nm and 600 nm, and a violet on the line of purples.
     let (green, orange, violet) = ([0.0082, 0.5384], [0.6270, 0.3725], [0.25, 0.05]);
     let [x, y] = mixed(&[(3.0, green), (4.0, orange), (0.8, violet)]);
@@ -59,7 +59,7 @@ fn colors_outside_rec_709_whose_mixture_is_inside_mix_without_loss_and_without_a
 }
 
 #[test]
-fn the_warning_of_a_clipped_color_is_given_where_it_is_used_and_once() {
+fn clipped_color_warns_once_and_only_if_used() {
     let spectral = "c green =\ncxy .0082 .5384\nc paint = green\n";
     let text = format!("{spectral}m a =\nrd .1\nrs .1 0\nm b =\nc green\ned 5\nc\nm b =\nrd .2\nv a =\nsph a 1\n");
     let warnings = try_scene(&text).unwrap().warnings;
@@ -71,7 +71,7 @@ fn the_warning_of_a_clipped_color_is_given_where_it_is_used_and_once() {
 }
 
 #[test]
-fn colors_within_rec_709_mix_to_the_bits_that_their_clipped_values_give() {
+fn colors_within_rec_709_mix_to_the_bits_of_clipped_values() {
     let unit = |rgb: [f64; 3]| {
         let weights = femc_math::color::LUMINANCE_WEIGHTS.to_array().map(f64::from);
         let luminance =

@@ -177,7 +177,7 @@ proptest! {
 const SCENE: &str = "# caf\u{e9}\nv a =\n\tp 0 0 0\nm lamp =\n\ted 10\nm lamp\nsph a \\\n\t1\ncamera main =\n\torigin 0 -5 0\n\ttarget 0 0 0\n";
 
 #[test]
-fn a_scene_is_the_same_in_every_encoding_and_with_every_line_end() {
+fn scene_is_equal_in_every_encoding_and_line_ending() {
     let expected = try_scene(SCENE).unwrap();
     assert!(expected.warnings.is_empty() && expected.scene.groups[0].quadrics.len() == 1);
     for line_end in ["\n", "\r\n", "\r", "\r\r\n"] {

@@ -82,7 +82,7 @@ const TABLE: &[(&str, Outcome)] = &[
 ];
 
 #[test]
-fn what_other_renderers_write_is_read_with_its_meaning_or_refused_by_name() {
+fn other_renderers_dialects_keep_their_meaning_or_are_refused() {
     for (text, outcome) in TABLE {
         let found = Expression::parse(text);
         match outcome {
@@ -127,7 +127,7 @@ fn normal(expression: &Expression) -> String {
 }
 
 #[test]
-fn a_layer_with_a_prefix_shows_its_fault_in_the_text_as_it_was_typed() {
+fn prefixed_layer_error_points_into_the_text_as_typed() {
     let error = "t=lpe:C<RX>L".parse::<femc_layers::Layer>().unwrap_err();
     let LayerError::Expression { cause, .. } = &error else { panic!("{error}") };
     assert_eq!((cause.at, cause.expression.as_str()), (7, "lpe:C<RX>L"));

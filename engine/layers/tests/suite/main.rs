@@ -156,7 +156,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn the_automaton_of_all_layers_takes_for_each_just_what_its_expression_says(
+    fn automaton_of_all_layers_accepts_what_each_expression_accepts(
         texts in prop::collection::vec(expressions(), 1..5),
         words in prop::collection::vec(words(), 1..30),
     ) {
@@ -207,7 +207,7 @@ fn presets_that_part_the_paths_take_every_path_once() {
 }
 
 #[test]
-fn lamps_part_the_light_and_an_object_s_label_stands_for_all_within_it() {
+fn lamps_partition_light_and_object_labels_cover_their_contents() {
     let layers = Preset::Lamps.layers(["a", "b"]).unwrap();
     let automaton = automaton(&layers);
     for (name, layers) in [("a", 1), ("b", 2), ("", 0)] {

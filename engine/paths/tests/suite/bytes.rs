@@ -12,7 +12,7 @@ fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
 }
 
 #[test]
-fn statistics_come_back_to_the_bit_and_the_bytes_are_those_of_the_statistics() {
+fn statistics_round_trip_bit_exactly_through_bytes() {
     let scope = scope(900);
     for statistics in [
         Statistics::new(scope, 1.0),

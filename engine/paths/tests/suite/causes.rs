@@ -48,7 +48,7 @@ fn of_object(found: &Bottlenecks, object: Name) -> Evidence {
 }
 
 #[test]
-fn of_all_samples_the_parts_are_what_the_formula_says_and_add_up() {
+fn parts_of_all_samples_match_the_formula_and_add_up() {
     // Everything is recorded: the limit is not reached, and the share is 1.
     let scope = scope(1 << 20);
     let mut all = Statistics::new(scope, 1.0);

@@ -14,7 +14,7 @@ fn frames(keep: u32) -> Vec<Statistics> {
 }
 
 #[test]
-fn frames_in_any_order_and_grouping_and_given_twice_have_one_union_to_the_byte() {
+fn union_of_frames_ignores_order_grouping_and_repetition() {
     let all = frames(900);
     let expected = Frames::of(all.clone()).unwrap();
     let bytes = expected.encode();
@@ -32,7 +32,7 @@ fn frames_in_any_order_and_grouping_and_given_twice_have_one_union_to_the_byte()
 }
 
 #[test]
-fn the_records_of_all_frames_are_the_least_by_hash_of_all_their_samples() {
+fn union_keeps_records_with_the_least_hashes_of_all_frames() {
     const KEEP: usize = 900;
     let all = frames(1 << 20);
     let mut wanted: Vec<_> = all.iter().flat_map(|it| it.paths.keys().copied()).collect();
@@ -54,7 +54,7 @@ fn the_records_of_all_frames_are_the_least_by_hash_of_all_their_samples() {
 }
 
 #[test]
-fn frames_get_one_box_and_other_content_of_the_same_frame_is_refused() {
+fn united_frames_share_one_box_and_conflicting_ones_are_refused() {
     let [a, b] = [frame(3, 2, 900), frame(4, 2, 900)];
     let mut wider = b.clone();
     (wider.scope.lower[0], wider.scope.upper[1]) = (-5.0, 9.0);

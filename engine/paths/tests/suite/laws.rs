@@ -26,7 +26,7 @@ fn good(scope: &Scope) -> Vec<PathKey> {
 }
 
 #[test]
-fn any_number_of_shards_in_any_order_and_tasks_done_again_give_the_same_bytes() {
+fn shards_in_any_order_and_repeated_tasks_give_equal_bytes() {
     let scope = scope(KEEP);
     let tasks = tasks(&scope);
     let expected = united(&scope, tasks.clone());
@@ -62,7 +62,7 @@ fn unions_are_associative_and_commutative() {
 }
 
 #[test]
-fn what_counts_is_the_same_however_the_samples_were_divided_into_tasks() {
+fn counted_samples_do_not_depend_on_the_division_into_tasks() {
     let scope = scope(KEEP);
     let whole = united(&scope, tasks(&scope)).counted(0, ends);
     let other: Vec<Statistics> = tiles(&scope)
@@ -114,7 +114,7 @@ fn totals_are_the_samples_and_histograms_those_of_the_subset() {
 }
 
 #[test]
-fn by_image_every_pixel_counts_one_however_many_samples_its_halves_have() {
+fn image_weights_sum_to_one_per_pixel_for_any_sample_counts() {
     for counts in [[1, 0], [0, 5], [1, 1], [3, 4], [8, 2], [1000, 999]] {
         let sum: u64 = (0..2).map(|half| counts[usize::from(half)] * image_weight(counts, half)).sum();
         let rounding = (counts[0] + counts[1]) / 2 + 1;
@@ -184,7 +184,7 @@ fn the_brightest_of_the_frame_are_those_of_its_portions() {
 }
 
 #[test]
-fn the_energy_of_disjoint_parts_adds_up_to_that_of_all_to_the_bit() {
+fn energy_of_disjoint_parts_adds_up_to_the_total_bit_exactly() {
     let scope = scope(1 << 20);
     let root = Root::around(scope.lower, scope.upper, 7);
     let all = united(&scope, tasks(&scope));
@@ -226,7 +226,7 @@ fn a_pilot_and_halves_that_ended_earlier_do_not_count() {
 }
 
 #[test]
-fn maps_are_of_all_samples_that_count_and_the_pixels_of_a_tile_are_its_own() {
+fn maps_hold_all_counted_samples_and_tiles_own_their_pixels() {
     let scope = scope(KEEP);
     let mut all: Vec<u32> = tiles(&scope).flat_map(|tile| scope.pixels_of(tile)).collect();
     assert!(tiles(&scope).all(|tile| scope.pixels_of(tile).all(|pixel| scope.tile_of(pixel) == tile)));
@@ -257,7 +257,7 @@ fn maps_are_of_all_samples_that_count_and_the_pixels_of_a_tile_are_its_own() {
 }
 
 #[test]
-fn full_histograms_are_of_all_samples_that_count_by_samples_and_by_image() {
+fn full_histograms_hold_counted_samples_by_sample_and_by_image() {
     let scope = Scope { is_full: true, ..scope(KEEP) };
     let parts = shuffled(tasks(&scope), 9);
     let all = united(&scope, parts.clone());

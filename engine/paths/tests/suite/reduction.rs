@@ -17,7 +17,7 @@ fn bins(samples: u32) -> Vec<Bins> {
 }
 
 #[test]
-fn exchanging_comes_much_nearer_than_the_best_of_many_random_sets() {
+fn exchange_gets_much_nearer_than_the_best_random_set() {
     const N: usize = 5000;
     let all = bins(200_000);
     let target = Target::of(&all);

@@ -105,7 +105,7 @@ const EXPRESSIONS: [&str; 40] = [
 ];
 
 #[test]
-fn a_layer_is_named_as_black_only_if_it_is_and_each_layer_with_light_is_not() {
+fn only_layers_without_light_are_named_black() {
     let (mut named, mut lit) = (0, 0);
     for (title, text) in scenes() {
         for max_depth in [0, 1, 2] {

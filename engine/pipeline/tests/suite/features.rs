@@ -93,7 +93,7 @@ fn of_a_plane_depth_position_normal_and_albedo_are_known() {
 }
 
 #[test]
-fn a_pixel_that_is_half_covered_says_so_and_its_means_are_of_that_half() {
+fn half_covered_pixel_has_half_coverage_and_means_of_that_half() {
     let settings = settings(&[Feature::Depth], 256);
     // Up to the middle of the fifth column. At a height of 1 m it looks larger by 4/3.
     let text = format!("{DOWN}{MATTE}{}{LAMP}", sheet("board", "matte", [-9.0, -9.0, 0.75 * 0.25, 9.0], 1.0));
@@ -107,7 +107,7 @@ fn a_pixel_that_is_half_covered_says_so_and_its_means_are_of_that_half() {
 }
 
 #[test]
-fn fog_is_no_surface_a_mirror_is_one_and_a_pane_is_so_in_the_share_of_what_it_reflects() {
+fn fog_is_no_surface_mirrors_are_and_panes_by_reflectance() {
     let settings = settings(&[Feature::Depth, Feature::Albedo], 256);
     let materials = "m mirror =\n\trs .9 0\nm pane =\n\trs .1 0\n\tts .6 0\nm edge =\n\tsides 1\n\tir 1 0\n\tts 1 0\n";
     let ground = sheet("ground", "matte", [-9.0, -9.0, 9.0, 9.0], 0.0);
@@ -132,7 +132,7 @@ fn fog_is_no_surface_a_mirror_is_one_and_a_pane_is_so_in_the_share_of_what_it_re
 }
 
 #[test]
-fn features_change_no_sample_no_layer_and_no_statistics_nor_these_them() {
+fn features_samples_layers_and_statistics_are_independent() {
     let text = format!("{DOWN}{MATTE}{}{LAMP}", sheet("ground", "matte", [-1.0, -1.0, 1.0, 1.0], 0.0));
     let only = settings(&[Feature::Normal, Feature::Depth], 8);
     let both = Settings { layers: vec![Layer::new("direct", "C[RTV]?[LOB]")], ..only.clone() };
@@ -172,7 +172,7 @@ fn motion_and_place(found: &BTreeMap<String, Vec<f32>>, pixel: usize) -> ([f64; 
 }
 
 #[test]
-fn a_thing_that_moves_has_its_motion_to_the_next_frame_and_what_stands_has_none() {
+fn moving_object_has_motion_to_next_frame_and_still_one_none() {
     let settings = settings(&[Feature::Position, Feature::Motion], 16);
     // In a quarter of a second it moves 0.25 m to the right and 0.125 m up the picture, at a distance of 3 m: 0.375 m a pixel.
     let board = sheet("board", "matte", [-0.7, -0.7, 0.7, 0.7], 1.0);
@@ -203,7 +203,7 @@ fn a_thing_that_moves_has_its_motion_to_the_next_frame_and_what_stands_has_none(
 }
 
 #[test]
-fn a_thing_that_turns_and_a_camera_that_rises_move_each_point_as_geometry_says() {
+fn turning_object_and_rising_camera_give_geometric_motion() {
     let settings = settings(&[Feature::Position, Feature::Motion], 16);
     let ground = sheet("ground", "matte", [-9.0, -9.0, 9.0, 9.0], 0.0);
     // At 4 m, 0.5 m a pixel: a rotation by 22.5 degrees from one frame to the next, counterclockwise.
@@ -232,7 +232,7 @@ fn a_thing_that_turns_and_a_camera_that_rises_move_each_point_as_geometry_says()
 }
 
 #[test]
-fn what_moves_with_the_camera_stands_in_the_picture_through_shutter_and_lens() {
+fn object_moving_with_camera_has_no_motion_in_shutter_and_lens() {
     let settings = settings(&[Feature::Motion], 16);
     let board = sheet("board", "matte", [-1.0, -1.0, 1.0, 1.0], 1.0);
     let ground = sheet("ground", "matte", [-9.0, -9.0, 9.0, 9.0], 0.0);
@@ -252,7 +252,7 @@ fn what_moves_with_the_camera_stands_in_the_picture_through_shutter_and_lens() {
 }
 
 #[test]
-fn frames_that_move_on_in_other_ways_are_other_frames_only_where_motion_is_asked_for() {
+fn later_motion_changes_the_frame_key_only_with_motion_feature() {
     let source = |end: &str| {
         let board = sheet("board", "matte", [-1.0, -1.0, 1.0, 1.0], 1.0);
         let text = format!(
@@ -279,7 +279,7 @@ fn ranks(found: &BTreeMap<String, Vec<f32>>, matte: &str, pixel: usize) -> Vec<(
 }
 
 #[test]
-fn objects_and_materials_are_mattes_whose_shares_are_those_of_the_samples() {
+fn object_and_material_mattes_have_the_shares_of_the_samples() {
     let settings = settings(&[Feature::Object, Feature::Material, Feature::Depth], 256);
     let board = sheet("left.board", "matte", [-9.0, -9.0, 0.25, 9.0], 0.0);
     // A surface in no object with an unnamed material. It covers the second half of the sixth column, and more.

@@ -184,7 +184,7 @@ fn part(image: &FrameImage, layers: &[LayerImage], names: &[&str]) {
 }
 
 #[test]
-fn layers_that_part_the_paths_sum_up_to_the_picture_whose_samples_are_those_without_layers() {
+fn partitioning_layers_sum_to_the_image_with_unchanged_samples() {
     for text in [ROOM.to_owned(), format!("{ROOM}{FOG}")] {
         for method in [Method::Pt, Method::Femc] {
             let is_foggy = text.len() > ROOM.len();
@@ -224,7 +224,7 @@ fn layers_that_part_the_paths_sum_up_to_the_picture_whose_samples_are_those_with
 }
 
 #[test]
-fn labels_that_the_scene_does_not_have_are_refused_before_anything_runs() {
+fn unknown_labels_are_refused_before_rendering() {
     let scene = scene(ROOM);
     let outcome = |label: &str| {
         let layers = vec![Layer::new("one", format!("C.*<L.'{label}'>"))];

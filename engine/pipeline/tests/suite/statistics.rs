@@ -158,7 +158,7 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
 }
 
 #[test]
-fn statistics_are_those_of_the_samples_however_they_are_divided_into_tasks() {
+fn statistics_do_not_depend_on_the_division_into_tasks() {
     let (settings, prepared) = (settings(), prepared(&format!("{FOG}{ROOM}"), &settings()));
     let bytes = whole(&prepared, &settings, &[8]).encode();
     for ends in [&[4, 8][..], &[1, 4, 5, 8]] {
@@ -197,7 +197,7 @@ fn paths_name_what_they_meet_and_say_how_they_went_on() {
 }
 
 #[test]
-fn light_scattered_in_fog_names_the_fog_and_what_hides_the_lamp_from_it() {
+fn light_scattered_in_fog_names_the_fog_and_its_occluder() {
     let (settings, prepared) = (settings(), prepared(&format!("{FOG}{ROOM}"), &settings()));
     let all = whole(&prepared, &settings, &[8]);
     let fog = Name::of(Kind::Medium, "fog");

@@ -267,7 +267,7 @@ mod tests {
 
     /// Rays of other leaves find a third of the light of all parts, but none reached one of them. That is chance, not a shadow.
     #[test]
-    fn a_part_that_rays_from_elsewhere_have_missed_is_no_darker_for_that() {
+    fn part_missed_by_rays_of_other_leaves_is_not_darkened() {
         let gray = |light: f32| Rgb::splat(light);
         let part = |by_others: usize| {
             let mut sums = Sums::of(1.0, 32.0, 1.0);

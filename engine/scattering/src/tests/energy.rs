@@ -97,7 +97,7 @@ fn no_material_of_the_format_returns_more_than_it_receives() {
 }
 
 #[test]
-fn a_material_within_its_limits_keeps_its_bits_and_one_beyond_keeps_the_ratio_of_its_parts() {
+fn material_beyond_limits_keeps_ratios_and_others_keep_bits() {
     let p = MaterialParameters::default();
     let within = MaterialParameters { rd: Rgb::new(0.3, 0.2, 0.1), td: Rgb::splat(0.3), rs: Rgb::splat(0.4), ..p };
     assert_eq!(within.conserving(), within);

@@ -89,7 +89,7 @@ fn scaled_and_mirrored_poses_stay_similarities_of_the_same_hand() {
 }
 
 #[test]
-fn a_spline_through_points_on_a_line_stays_on_it_and_is_even_for_even_keys() {
+fn spline_of_collinear_even_keys_is_straight_and_even() {
     let keys: Vec<_> = (0..5).map(|i| (f64::from(i), pose(0.0, 2.0 * f64::from(i), 0.0, 0.0))).collect();
     let path = path("p", 1, Interpolation::Spline, &keys);
     for i in 0..=40 {

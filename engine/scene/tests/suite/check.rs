@@ -383,7 +383,7 @@ fn the_list_is_in_the_order_of_the_files() {
 }
 
 #[test]
-fn media_nested_deeper_than_paths_count_are_found_and_as_many_as_they_count_are_not() {
+fn media_nested_beyond_the_limit_are_reported_and_at_it_are_not() {
     for (solids, found) in [(Medium::MOST_NESTED, 0), (Medium::MOST_NESTED + 1, 1)] {
         let mut scene = lit_floor();
         for k in 0..solids as u32 {

@@ -47,7 +47,7 @@ fn a_closed_room_with_a_lamp_in_it_is_seen_from_inside() {
 }
 
 #[test]
-fn a_solid_lit_from_outside_and_an_open_box_are_seen_from_outside() {
+fn externally_lit_solid_and_open_box_are_viewed_from_outside() {
     let solid = walls("m wall =\nsides 2\nrd .5", 2.0) + &lamp("4 0 4");
     let (of_solid, note) = camera(&solid);
     assert!(!is_in_the_box(of_solid.origin) && note.contains("from outside"), "{} {note}", of_solid.origin);

@@ -93,7 +93,7 @@ fn every_part_of_the_scene_counts() {
 }
 
 #[test]
-fn a_digest_reads_back_from_its_text_and_is_the_same_on_every_machine() {
+fn digest_round_trips_as_text_and_is_machine_independent() {
     let digest = full().digest();
     assert_eq!(digest.to_string().parse(), Ok(digest));
     assert_eq!("no digest".parse::<SceneDigest>(), Err(DigestError));

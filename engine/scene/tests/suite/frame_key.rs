@@ -56,7 +56,7 @@ fn neither_the_camera_nor_the_origin_counts_in_the_content() {
 }
 
 #[test]
-fn how_bright_all_lamps_are_together_does_not_count_in_the_light() {
+fn overall_lamp_brightness_does_not_change_the_light_key() {
     let brighter = |which: &[usize], factor: f64| {
         let mut scene = lit_floor();
         scene.materials.push(Material { ed: Tinted { amount: 70.0, color: [1.0; 3] }, ..Material::default() });
@@ -79,7 +79,7 @@ fn how_bright_all_lamps_are_together_does_not_count_in_the_light() {
 }
 
 #[test]
-fn what_stands_while_the_shutter_is_open_counts_with_its_pose_alone() {
+fn objects_still_during_the_shutter_count_only_by_pose() {
     for interpolation in [Interpolation::Linear, Interpolation::Spline] {
         let scene = scene(interpolation);
         let at = |frame: u32, open: f64| frame_key(&scene, &Look { frame, open, ..LOOK });
@@ -97,7 +97,7 @@ fn what_stands_while_the_shutter_is_open_counts_with_its_pose_alone() {
 }
 
 #[test]
-fn what_is_far_away_in_time_does_not_count_and_what_is_near_does() {
+fn keys_far_in_time_do_not_count_and_near_keys_do() {
     // At 0.3 s, the keys at 0 s and 1 s count; for a spline, also the key at 2 s.
     for (interpolation, near) in [(Interpolation::Linear, 2), (Interpolation::Spline, 3)] {
         let look = Look { frame: 4, ..LOOK };

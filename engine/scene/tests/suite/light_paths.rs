@@ -27,7 +27,7 @@ fn kinds(text: &str) -> Vec<(FaultKind, Severity, u32)> {
 }
 
 #[test]
-fn a_one_sided_wall_that_lets_light_in_from_behind_is_named_by_its_line() {
+fn one_sided_wall_leaking_light_from_behind_is_named_by_line() {
     let found = kinds(&house("sides 1\nrd .5", "0 0 9"));
     assert_eq!(found, [(FaultKind::OneSidedWall, Severity::Warning, 15)]);
     assert_eq!(kinds(&house("sides 1\nrd .5", "0 0 3")), [], "the lamp is in the house");
@@ -51,7 +51,7 @@ fn a_camera_in_a_solid_that_no_light_gets_into_is_named() {
 }
 
 #[test]
-fn a_closed_scene_in_which_nothing_absorbs_is_named_and_one_that_absorbs_a_little_is_not() {
+fn closed_scene_is_reported_only_if_nothing_absorbs() {
     let white = house("sides 2\nrd 1", "0 0 3").replace("sides 2\nrd .5", "sides 2\nrd 1");
     let white = white.replace("ed 1000", "ed 1000\nrd 1");
     assert_eq!(kinds(&white), [(FaultKind::EnergyTrap, Severity::Warning, 1)]);

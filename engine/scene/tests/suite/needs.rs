@@ -55,7 +55,7 @@ fn only_surfaces_that_are_shown_at_some_time_count() {
 }
 
 #[test]
-fn motion_is_needed_when_something_moves_while_the_shutter_is_open() {
+fn motion_is_needed_only_if_something_moves_during_the_shutter() {
     let mut scene = lit_floor();
     scene.paths =
         vec![path("p", 6, Interpolation::Linear, &[(0.0, pose(0.0, 0.0, 0.0, 0.0)), (1.0, pose(1.0, 0.0, 0.0, 0.0))])];

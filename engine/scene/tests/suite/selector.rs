@@ -112,7 +112,7 @@ fn a_name_that_matches_nothing_lists_the_three_nearest() {
 }
 
 #[test]
-fn impossible_values_are_refused_with_the_reason_and_change_nothing() {
+fn impossible_values_are_refused_with_reason_and_change_nothing() {
     let mut scene = scene();
     scene.materials[0].rs = tinted(0.4);
     for (selector, value, constraint) in [
@@ -153,7 +153,7 @@ fn a_dark_raw_color_leaves_room_for_the_specular_part() {
 }
 
 #[test]
-fn values_that_make_sense_only_together_may_come_in_either_order() {
+fn interdependent_values_may_be_set_in_either_order() {
     for order in [
         [("material.floor.rd", 0.1), ("material.floor.rs", 0.9)],
         [("material.floor.rs", 0.9), ("material.floor.rd", 0.1)],

@@ -43,7 +43,7 @@ vary medium.fog.sigma_s = 0 .02 1 .05
 ";
 
 #[test]
-fn comments_blanks_and_includes_do_not_change_the_hash_but_values_do() {
+fn comments_blanks_and_includes_keep_the_hash_but_values_do_not() {
     let plain = scene(&[("main.mgf", SCENE)]).digest();
     let commented = SCENE.replace("    rd .5\n", "# a remark\n\n      rd \\\n   0.50\n");
     assert_eq!(scene(&[("main.mgf", &commented)]).digest(), plain);

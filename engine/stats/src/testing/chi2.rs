@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lobe_of_half_a_degree_off_the_axis_is_integrated_to_four_digits() {
+    fn narrow_off_axis_lobe_is_integrated_to_four_digits() {
         // Von Mises-Fisher with kappa 1e4 about a tilted axis.
         let (kappa, axis) = (1e4, [0.6, 0.0, 0.8]);
         let pdf =

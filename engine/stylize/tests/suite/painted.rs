@@ -15,7 +15,7 @@ fn difference(a: &Planes, b: &Planes) -> f32 {
 }
 
 #[test]
-fn every_target_patch_has_a_source_patch_and_every_pixel_a_color_of_the_style() {
+fn target_patches_have_sources_and_pixels_have_style_colors() {
     let source = guides(40, 32, [0.5, 0.5], 1);
     for (width, height) in [(40, 32), (90, 70), (17, 14)] {
         let target = guides(width, height, [0.3, 0.6], 2);
@@ -56,7 +56,7 @@ fn the_source_itself_is_painted_as_the_style() {
 }
 
 #[test]
-fn a_price_on_use_shows_more_of_the_painting_than_the_nearest_patches_do() {
+fn usage_cost_shows_more_of_the_painting_than_nearest_patches() {
     let (source, target) = (guides(48, 40, [0.5, 0.5], 1), guides(48, 40, [0.35, 0.6], 2));
     let figures = |method| painted(&source, &target, &Settings { method, ..Settings::default() }).figures;
     let [balanced, em] = [Method::Balanced, Method::Em].map(figures);

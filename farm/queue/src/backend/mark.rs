@@ -192,7 +192,7 @@ mod tests {
     const KNOWN: Known = Known { identity: [7; 16], sequence: 5, incarnation: 3 };
 
     #[tokio::test]
-    async fn one_slot_of_two_is_enough_and_whichever_is_lost_the_other_asks_for_one_batch_less() {
+    async fn mark_survives_one_lost_slot_and_is_at_most_one_batch_older() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log-mark");
         assert_eq!(Mark::look(&path).unwrap(), Found::Nothing);

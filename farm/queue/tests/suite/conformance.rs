@@ -177,7 +177,7 @@ async fn postgres_keeps_notes() {
 }
 
 #[tokio::test]
-async fn a_tail_that_is_given_up_takes_its_notes_along_and_a_damaged_note_is_left_out() {
+async fn discarded_tail_takes_its_notes_and_damaged_note_is_skipped() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
     let mut queue = Sqlite::open(&path).await.unwrap();
@@ -254,7 +254,7 @@ async fn with_five(path: &Path) {
 }
 
 #[tokio::test]
-async fn a_damaged_tail_was_acknowledged_too_and_goes_only_where_its_loss_is_accepted() {
+async fn damaged_acknowledged_tail_goes_only_if_loss_is_accepted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
     with_five(&path).await;
@@ -293,7 +293,7 @@ async fn damage_before_the_end_is_not_passed_over() {
 }
 
 #[tokio::test]
-async fn a_file_of_another_program_or_version_is_refused_and_left_as_it_is() {
+async fn file_of_another_program_or_version_is_refused_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
     with_five(&path).await;

@@ -171,7 +171,7 @@ async fn survives_kills(operations: &[Operation], when: &str) {
 }
 
 #[tokio::test]
-async fn a_log_that_is_killed_at_any_write_opens_without_help_and_holds_all_that_was_acknowledged() {
+async fn log_killed_at_any_write_reopens_with_all_acknowledged() {
     for seed in 0..4 {
         survives_kills(&operations(seed, 14), &format!("seed {seed}")).await;
     }
@@ -179,7 +179,7 @@ async fn a_log_that_is_killed_at_any_write_opens_without_help_and_holds_all_that
 
 #[tokio::test]
 #[ignore = "minutes"]
-async fn a_log_that_is_killed_at_any_write_opens_without_help_with_many_seeds() {
+async fn log_killed_at_any_write_reopens_with_many_seeds() {
     for seed in 100..160 {
         survives_kills(&operations(seed, 20), &format!("seed {seed}")).await;
     }
@@ -187,7 +187,7 @@ async fn a_log_that_is_killed_at_any_write_opens_without_help_with_many_seeds() 
 
 /// The records are so large that SQLite checkpoints by itself and restarts its write-ahead log from the beginning.
 #[tokio::test]
-async fn a_log_that_is_killed_while_its_pages_are_brought_in_holds_all_that_was_acknowledged() {
+async fn log_killed_during_a_checkpoint_holds_all_acknowledged() {
     let large = |byte: u8| Operation::Append(Work { records: vec![vec![byte; 1 << 20]; 3], ..Work::default() });
     let operations = [large(1), large(2), large(3), Operation::Snapshot(vec![4; 100]), large(5), large(6)];
     let states = story(&operations).await;
@@ -236,7 +236,7 @@ async fn survives_flips(files: &Files, model: &Model, every: usize, when: &str) 
 }
 
 #[tokio::test]
-async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word() {
+async fn flipped_bit_loses_nothing_acknowledged_silently() {
     let states = story(&operations(7, 12)).await;
     for (files, model) in &states[states.len() - 2..] {
         survives_flips(files, model, 1500, "seed 7").await;
@@ -245,7 +245,7 @@ async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word() {
 
 #[tokio::test]
 #[ignore = "minutes"]
-async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word_with_many_seeds() {
+async fn flipped_bit_loses_nothing_silently_with_many_seeds() {
     for seed in 200..212 {
         let states = story(&operations(seed, 12)).await;
         for (files, model) in &states[states.len() - 2..] {
@@ -255,7 +255,7 @@ async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word_with_m
 }
 
 #[tokio::test]
-async fn a_short_or_missing_file_takes_nothing_that_was_acknowledged_without_a_word() {
+async fn short_or_missing_file_loses_nothing_acknowledged_silently() {
     let states = story(&operations(8, 12)).await;
     for (files, model) in &states[states.len() - 2..] {
         for (file, end) in ENDS.iter().enumerate() {
@@ -274,7 +274,7 @@ async fn a_short_or_missing_file_takes_nothing_that_was_acknowledged_without_a_w
 }
 
 #[tokio::test]
-async fn an_earlier_file_among_later_ones_takes_nothing_that_was_acknowledged_without_a_word() {
+async fn earlier_file_among_later_loses_nothing_acknowledged_silently() {
     let states = story(&operations(9, 12)).await;
     let (last, model) = &states[states.len() - 2];
     for (earlier, _) in &states[..states.len() - 2] {
@@ -288,7 +288,7 @@ async fn an_earlier_file_among_later_ones_takes_nothing_that_was_acknowledged_wi
 }
 
 #[tokio::test]
-async fn a_bit_of_what_is_written_ahead_loses_what_follows_which_is_told_and_may_be_accepted() {
+async fn flipped_bit_in_the_wal_is_a_reported_and_acceptable_loss() {
     let folder = scratch();
     let path = folder.path().join("log");
     let mut queue = Sqlite::open(&path).await.unwrap();
@@ -336,7 +336,7 @@ async fn open_at(path: &Path, loss: Loss) -> Result<(Sqlite, Contents), QueueErr
 }
 
 #[tokio::test]
-async fn a_log_that_is_gone_while_its_mark_is_there_is_told_of_and_a_closed_one_may_be_moved_alone() {
+async fn missing_log_with_mark_is_reported_and_closed_log_moves_alone() {
     let states = story(&operations(3, 10)).await;
     let (closed, model) = states.last().unwrap();
     let gone = Files { mark: closed.mark.clone(), ..Files::default() };
@@ -350,7 +350,7 @@ async fn a_log_that_is_gone_while_its_mark_is_there_is_told_of_and_a_closed_one_
 }
 
 #[tokio::test]
-async fn a_copy_that_is_put_in_the_log_s_place_is_another_log_with_incarnations_of_its_own() {
+async fn restored_copy_is_another_log_with_its_own_incarnations() {
     let folder = scratch();
     let path = folder.path().join("log");
     let (mut queue, _) = open_at(&path, Loss::Refused).await.unwrap();
@@ -417,7 +417,7 @@ fn holds(durable: Option<u32>, contents: &Contents, when: &str) {
 }
 
 #[tokio::test]
-async fn a_process_that_is_killed_at_any_time_loses_nothing_that_it_called_durable() {
+async fn process_killed_at_any_time_loses_nothing_durable() {
     let folder = scratch();
     for batch in [0, 1, 7, 14, 15, 16, 30, 39] {
         let path = folder.path().join(format!("log{batch}"));
@@ -459,12 +459,12 @@ async fn killed_at_calls(calls: impl Iterator<Item = usize>) {
 }
 
 #[tokio::test]
-async fn a_process_that_is_killed_at_a_call_that_changes_a_file_loses_nothing_that_it_called_durable() {
+async fn process_killed_at_a_file_change_loses_nothing_durable() {
     killed_at_calls([1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 200].into_iter()).await;
 }
 
 #[tokio::test]
 #[ignore = "minutes"]
-async fn a_process_that_is_killed_at_every_call_that_changes_a_file_loses_nothing_that_it_called_durable() {
+async fn process_killed_at_every_file_change_loses_nothing_durable() {
     killed_at_calls(1..500).await;
 }

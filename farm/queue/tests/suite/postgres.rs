@@ -41,7 +41,7 @@ async fn with_five(scratch: &Scratch) {
 const NEXT_EPOCH: &str = "UPDATE femc.leader SET epoch = epoch + 1";
 
 #[tokio::test]
-async fn a_damaged_tail_was_acknowledged_too_and_goes_only_where_its_loss_is_accepted() {
+async fn damaged_acknowledged_tail_goes_only_if_loss_is_accepted() {
     let Some(scratch) = Scratch::new().await else { return };
     with_five(&scratch).await;
     scratch.tamper("UPDATE femc.log SET record = '\\x00' WHERE sequence >= 4").await;
@@ -64,7 +64,7 @@ async fn leader_s_log(scratch: &Scratch) -> Contents {
 }
 
 #[tokio::test]
-async fn a_write_whose_connection_is_ended_within_is_there_whole_or_not_at_all_and_nothing_before_it_is_lost() {
+async fn write_on_an_ended_connection_is_atomic_and_loses_nothing() {
     let Some(scratch) = Scratch::new().await else { return };
     let mut queue = trusting_leader(&scratch).await;
     queue.append(Batch::of(&records(1, 4))).await.unwrap();
@@ -85,7 +85,7 @@ async fn a_write_whose_connection_is_ended_within_is_there_whole_or_not_at_all_a
 }
 
 #[tokio::test]
-async fn an_incarnation_is_above_those_before_it_and_above_those_of_a_log_that_was_lost_with_its_tail() {
+async fn incarnation_exceeds_earlier_ones_and_those_of_a_lost_tail() {
     let Some(scratch) = Scratch::new().await else { return };
     let mut queue = trusting_leader(&scratch).await;
     let first = queue.reserve(1).await.unwrap();
@@ -120,7 +120,7 @@ async fn a_damaged_snapshot_is_not_passed_over() {
 }
 
 #[tokio::test]
-async fn tables_of_another_program_or_version_are_refused_and_left_as_they_are() {
+async fn tables_of_another_program_or_version_are_refused_unchanged() {
     for (tamper, version) in [
         ("UPDATE femc.header SET version = 7", Some("7".to_owned())),
         ("DROP TABLE femc.header", None),
@@ -144,7 +144,7 @@ async fn an_empty_schema_that_somebody_made_is_used() {
 }
 
 #[tokio::test]
-async fn coordinators_that_begin_at_the_same_moment_make_the_tables_once_and_one_leads() {
+async fn coordinators_starting_at_once_make_tables_once_and_one_leads() {
     let Some(scratch) = Scratch::new().await else { return };
     let (sent, mut leaders) = tokio::sync::mpsc::unbounded_channel();
     let begin = |number: u32| {
@@ -167,7 +167,7 @@ async fn coordinators_that_begin_at_the_same_moment_make_the_tables_once_and_one
 }
 
 #[tokio::test]
-async fn who_stands_by_hears_who_leads_and_leads_when_the_leader_is_gone() {
+async fn standby_learns_the_leader_and_leads_when_the_leader_is_gone() {
     let Some(scratch) = Scratch::new().await else { return };
     let mut first = leader(&scratch, "http://one").await;
     first.append(Batch::of(&records(1, 3))).await.unwrap();
@@ -257,7 +257,7 @@ async fn a_deposed_leader_hears_of_it_without_writing() {
 }
 
 #[tokio::test]
-async fn a_leader_cut_off_in_the_middle_of_a_write_gives_up_before_another_leads() {
+async fn leader_cut_off_during_a_write_stops_before_another_leads() {
     let Some(scratch) = Scratch::new().await else { return };
     let mut first = leader(&scratch, "http://one").await;
     let second = standby(&scratch, "http://two").await;
@@ -322,7 +322,7 @@ async fn refused(url: &str) -> QueueError {
 }
 
 #[tokio::test]
-async fn a_wrong_password_or_database_and_a_server_that_is_away_are_told_apart() {
+async fn wrong_password_or_database_differs_from_an_absent_server() {
     let Some(scratch) = Scratch::new().await else { return };
     let url = scratch.url();
     let (head, tail) = url.split_once('@').unwrap();
@@ -385,7 +385,7 @@ async fn plain_server() -> String {
 }
 
 #[tokio::test]
-async fn an_encrypted_connection_knows_whom_it_talks_to_and_what_is_wrong_is_not_tried_again() {
+async fn encrypted_connection_verifies_server_and_errors_are_final() {
     let Some(scratch) = Scratch::new().await else { return };
     let Some((url, authority)) = scratch.encrypted() else { return };
     let _leader = Standby::open(url.parse().unwrap(), "http://one".into(), PATIENCE).await.unwrap();

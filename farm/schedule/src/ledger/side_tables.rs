@@ -161,7 +161,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_snapshot_has_the_side_tables_and_one_that_is_cut_anywhere_is_refused() {
+    fn snapshot_has_side_tables_and_a_truncated_one_is_refused() {
         let mut ledger = Ledger::default();
         ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Begin }, femc_model::Tick(4));
         let new = ledger.encode().unwrap();
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn of_owners_without_jobs_those_who_have_used_the_most_are_remembered() {
+    fn owners_without_jobs_are_remembered_by_most_usage() {
         let mut side = SideTables::default();
         let owner = |number: usize| (number.to_string(), Used { held: 1, virtual_time: number as u64 });
         let names: Vec<String> = (0..10).map(|number: usize| number.to_string()).collect();

@@ -34,7 +34,7 @@ fn sums(farm: &Farm, of: &str, owner: &str) -> UsageSums {
 }
 
 #[test]
-fn usage_is_what_the_leases_of_an_owner_held_and_what_his_attempts_took() {
+fn usage_sums_the_leases_and_attempts_of_an_owner() {
     let mut farm = Farm::new();
     farm.on(Event::Month(month("2026-11")));
     farm.join(1);
@@ -53,7 +53,7 @@ fn usage_is_what_the_leases_of_an_owner_held_and_what_his_attempts_took() {
 }
 
 #[test]
-fn usage_belongs_to_the_month_in_which_it_was_and_outlives_the_job_and_the_coordinator() {
+fn usage_belongs_to_its_month_and_outlives_job_and_coordinator() {
     let mut farm = Farm::new();
     farm.on(Event::Month(month("2026-11")));
     farm.join(1);
@@ -75,7 +75,7 @@ fn usage_belongs_to_the_month_in_which_it_was_and_outlives_the_job_and_the_coord
 }
 
 #[test]
-fn a_coordinator_that_dies_forgets_five_seconds_of_usage_at_most() {
+fn killed_coordinator_loses_at_most_five_seconds_of_usage() {
     let mut farm = Farm::new();
     farm.on(Event::Month(month("2026-11")));
     farm.join(1);
@@ -104,7 +104,7 @@ fn without_a_month_nothing_is_summed() {
 }
 
 #[test]
-fn only_a_job_that_has_ended_can_be_deleted_and_then_nothing_names_it() {
+fn only_ended_jobs_can_be_deleted_and_nothing_refers_to_them() {
     let mut farm = Farm::new();
     farm.join(1);
     let (first, second) = (farm.submit(of("ann", &[1], 3)), farm.submit(of("ann", &[1], 3)));
@@ -134,7 +134,7 @@ fn only_a_job_that_has_ended_can_be_deleted_and_then_nothing_names_it() {
 }
 
 #[test]
-fn an_end_is_announced_until_that_was_done_and_once_for_each_end() {
+fn each_end_of_a_job_is_announced_once_and_until_done() {
     let mut farm = Farm::new();
     farm.join(1);
     let id = farm.submit(of("ann", &[1], 3));

@@ -34,7 +34,7 @@ fn preparations(frames: &[(u64, u32)]) -> usize {
 }
 
 #[test]
-fn a_worker_stays_for_half_a_minute_with_the_frames_that_it_has_ready_and_owners_get_their_shares_all_the_same() {
+fn worker_keeps_ready_frames_for_30_s_and_owners_get_shares() {
     let mut farm = farm();
     for owner in ["ann", "bob", "cyd"] {
         farm.submit(JobSpec { owner: owner.into(), ..job(&[1], 500, &[4]) });
@@ -50,7 +50,7 @@ fn a_worker_stays_for_half_a_minute_with_the_frames_that_it_has_ready_and_owners
 }
 
 #[test]
-fn a_worker_whose_frame_is_done_goes_on_with_a_scene_that_it_has_read() {
+fn worker_with_a_finished_frame_continues_with_a_loaded_scene() {
     let mut farm = Farm::with(Config { prefetch: 0, ..Config::default() });
     for owner in ["ann", "bob", "cyd"] {
         farm.submit(JobSpec { owner: owner.into(), ..job(&(1..=200).collect::<Vec<_>>(), 1, &[4]) });
@@ -70,7 +70,7 @@ fn a_worker_whose_frame_is_done_goes_on_with_a_scene_that_it_has_read() {
 }
 
 #[test]
-fn a_scene_whose_job_stands_still_or_that_has_failed_here_is_not_at_hand() {
+fn scene_that_is_paused_or_failed_here_is_not_at_hand() {
     for is_paused in [true, false] {
         let mut farm = farm();
         let first = farm.submit(JobSpec { owner: "ann".into(), ..job(&[1], 12, &[4]) });
@@ -120,7 +120,7 @@ fn a_job_of_more_priority_goes_first_whatever_is_ready() {
 }
 
 #[test]
-fn a_round_that_begins_anew_does_not_call_a_worker_away_from_its_frame() {
+fn new_round_does_not_call_a_worker_away_from_its_frame() {
     let mut farm = farm();
     farm.submit(job(&(1..=12).collect::<Vec<_>>(), 6, &[4, 8, 12, 16]));
     (1..=4).for_each(|worker| drop(farm.join(worker)));

@@ -35,7 +35,7 @@ fn at_work() -> (Farm, JobId, Assignment) {
 }
 
 #[test]
-fn a_result_is_noted_once_with_what_it_took_and_the_ledger_does_not_grow() {
+fn result_is_noted_once_with_usage_and_ledger_does_not_grow() {
     let (mut farm, _, held) = at_work();
     farm.wait(700);
     assert_eq!(tell(&mut farm, 1, &held, 2.0), [], "its end is to come");
@@ -67,7 +67,7 @@ fn notes_of_another_version_are_refused_and_say_so() {
 }
 
 #[test]
-fn every_end_of_a_lease_under_which_work_was_begun_is_an_attempt() {
+fn every_end_of_a_lease_that_began_work_is_an_attempt() {
     let (mut farm, _, held) = at_work();
     tell(&mut farm, 1, &held, 0.5);
     assert_eq!(notes(&farm.fail(1, &held, panic())), [(held.epoch, Ending::Failed, Some(0.5))]);
@@ -92,7 +92,7 @@ fn every_end_of_a_lease_under_which_work_was_begun_is_an_attempt() {
 }
 
 #[test]
-fn what_is_told_after_the_end_of_a_lease_ends_then_and_began_as_long_before_as_it_took() {
+fn late_report_ends_at_arrival_and_begins_its_duration_before() {
     for (wall, wait) in [(1.0, 0.0), (2.5, 0.25), (0.125, 7.0), (1e9, 1.0)] {
         let (mut farm, id, held) = at_work();
         farm.wait(3_000);
@@ -126,7 +126,7 @@ fn what_a_stranger_says_of_a_job_that_is_not_there_is_not_kept() {
 }
 
 #[test]
-fn a_lease_whose_heartbeats_were_lost_on_the_way_has_not_stalled() {
+fn lease_with_lost_heartbeats_has_not_stalled() {
     let (mut farm, id, held) = at_work();
     farm.wait(farm.scheduler.config().lease - 1);
     // The link is back. The first message is about another lease, which ended long ago.

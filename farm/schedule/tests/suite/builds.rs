@@ -56,7 +56,7 @@ fn frames_that_wait_for_another_build_keep_no_worker_idle() {
 }
 
 #[test]
-fn a_frame_is_nobodys_again_when_its_first_lease_came_to_nothing_and_its_builds_for_good_after_a_result() {
+fn frame_is_bound_to_a_build_by_a_result_not_by_a_lost_lease() {
     let mut farm = farm();
     let id = farm.submit(job(&[1], 2, &[4]));
     join(&mut farm, 1, "old");
@@ -74,7 +74,7 @@ fn a_frame_is_nobodys_again_when_its_first_lease_came_to_nothing_and_its_builds_
 }
 
 #[test]
-fn a_frame_whose_build_is_gone_begins_anew_after_a_while_and_not_before_others_are_there() {
+fn frame_of_a_gone_build_restarts_after_a_while_if_others_exist() {
     let mut farm = farm();
     let id = farm.submit(job(&[1], 2, &[4]));
     join(&mut farm, 1, "old");
@@ -131,7 +131,7 @@ fn a_lease_is_not_taken_over_by_another_build() {
 }
 
 #[test]
-fn a_frame_that_is_put_aside_does_not_begin_anew_with_another_build() {
+fn quarantined_frame_does_not_restart_with_another_build() {
     let mut farm = farm();
     let id = farm.submit(job(&[1, 2], 1, &[4]));
     join(&mut farm, 1, "old");
@@ -177,7 +177,7 @@ fn a_frame_is_begun_by_a_build_whose_workers_can_do_all_of_it() {
 }
 
 #[test]
-fn a_frame_of_a_build_whose_workers_cannot_end_it_says_so_and_begins_anew_with_one_that_can() {
+fn frame_stuck_on_its_build_reports_so_and_restarts_on_another() {
     let mut farm = farm();
     let id = farm.submit(tagged());
     join(&mut farm, 1, "old");
@@ -198,7 +198,7 @@ fn a_frame_of_a_build_whose_workers_cannot_end_it_says_so_and_begins_anew_with_o
 }
 
 #[test]
-fn a_worker_with_a_stage_s_tags_and_without_the_job_s_does_not_keep_a_frame_with_its_build() {
+fn worker_with_only_stage_tags_does_not_bind_frame_to_its_build() {
     let mut farm = farm();
     let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..tagged() });
     let join = |farm: &mut Farm, worker: u64, engine: &str, tags: &[&str]| {

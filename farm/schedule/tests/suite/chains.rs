@@ -63,7 +63,7 @@ fn a_link_waits_for_the_one_before_and_reads_it() {
 }
 
 #[test]
-fn a_link_that_is_lost_behind_the_job_s_end_is_made_again_with_the_chain_and_no_frame() {
+fn link_lost_after_job_end_is_remade_with_chain_and_no_frame() {
     let mut farm = Farm::with(Config { prefetch: 0, ..config() });
     let id = farm.submit(job(&[1, 2, 3]));
     farm.join(1);

@@ -53,7 +53,7 @@ fn revoked(commands: &[Command], lease: &Assignment) -> bool {
 }
 
 #[test]
-fn a_late_task_is_given_to_an_idle_worker_and_the_first_result_counts_and_the_other_changes_nothing() {
+fn late_task_gets_one_copy_and_only_the_first_result_counts() {
     for the_copy_wins in [false, true] {
         let (mut farm, id, late) = at_the_tail();
         wait(&mut farm, 1_000);
@@ -74,7 +74,7 @@ fn a_late_task_is_given_to_an_idle_worker_and_the_first_result_counts_and_the_ot
 }
 
 #[test]
-fn nobody_gets_a_copy_while_there_is_other_work_or_before_one_knows_how_long_it_takes() {
+fn copies_wait_for_other_work_and_a_known_duration() {
     let mut farm = Farm::new();
     farm.submit(job(&[1], 1, &[4]));
     (1..=2).for_each(|worker| drop(farm.join(worker)));
@@ -96,7 +96,7 @@ fn nobody_gets_a_copy_while_there_is_other_work_or_before_one_knows_how_long_it_
 }
 
 #[test]
-fn a_task_is_late_after_two_seconds_and_more_than_twice_what_it_was_expected_to_take() {
+fn task_is_late_after_two_seconds_and_twice_the_expected_time() {
     for (expected, not_yet, late) in [(5_000, 10_000, 10_500), (100, 2_000, 2_500)] {
         let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
         farm.submit(job(&[1], 2, &[4]));
@@ -133,7 +133,7 @@ fn a_group_that_takes_too_long_to_gather_is_gathered_twice() {
 }
 
 #[test]
-fn nobody_gets_a_copy_while_workers_come_back_to_a_coordinator_that_has_begun_anew() {
+fn copies_wait_while_workers_return_to_a_restarted_coordinator() {
     let mut farm = Farm::with(Config { regroup: 60_000, ..common::config() });
     farm.submit(job(&[1], 2, &[4]));
     farm.join(1);
@@ -176,7 +176,7 @@ fn a_worker_that_leaves_leaves_the_task_to_the_other() {
 }
 
 #[test]
-fn a_worker_that_starts_again_keeps_its_lease_although_there_is_a_copy() {
+fn restarted_worker_keeps_its_lease_despite_a_copy() {
     for the_copy_returns in [false, true] {
         let (mut farm, _, late) = at_the_tail();
         let copy = copy(&mut farm);
@@ -222,7 +222,7 @@ fn a_merge_that_misses_a_tile_ends_its_copy_too() {
 }
 
 #[test]
-fn a_copy_that_comes_back_is_the_second_of_two_still_and_there_is_no_third() {
+fn returning_copy_is_still_the_second_and_no_third_is_made() {
     let (mut farm, _, late) = at_the_tail();
     let copy = copy(&mut farm);
     farm.rejoin(5, std::slice::from_ref(&copy));

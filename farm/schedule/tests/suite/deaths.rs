@@ -28,7 +28,7 @@ fn passes(farm: &mut Farm, milliseconds: u64) -> Vec<Command> {
 }
 
 #[test]
-fn a_task_that_kills_its_worker_is_put_aside_after_five_deaths_and_the_job_goes_on_and_a_retry_runs_just_that() {
+fn task_is_quarantined_after_five_deaths_and_retry_runs_only_it() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2], 1, &[4]));
     farm.join(1);
@@ -66,7 +66,7 @@ fn a_task_that_kills_its_worker_is_put_aside_after_five_deaths_and_the_job_goes_
 }
 
 #[test]
-fn a_death_that_is_told_twice_counts_once_and_that_of_a_task_that_is_done_or_of_another_farm_not_at_all() {
+fn death_counts_once_and_not_for_done_or_foreign_tasks() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 2, &[4]));
     farm.join(1);
@@ -84,7 +84,7 @@ fn a_death_that_is_told_twice_counts_once_and_that_of_a_task_that_is_done_or_of_
 }
 
 #[test]
-fn presumed_deaths_put_a_task_aside_when_they_are_of_several_workers_and_not_when_they_are_of_one() {
+fn only_presumed_deaths_of_several_workers_quarantine_a_task() {
     for (names, is_put_aside) in [(["a", "b", "c", "a", "b"], true), (["a"; 5], false)] {
         let mut farm = Farm::new();
         let id = farm.submit(job(&[1], 1, &[4]));
@@ -137,7 +137,7 @@ fn lost_links_drains_and_tasks_that_wait_do_not_count_as_deaths() {
 }
 
 #[test]
-fn a_worker_that_died_of_a_task_does_not_get_it_again_while_another_is_free() {
+fn worker_killed_by_a_task_does_not_get_it_if_another_is_free() {
     let mut farm = Farm::new();
     farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
@@ -153,7 +153,7 @@ fn a_worker_that_died_of_a_task_does_not_get_it_again_while_another_is_free() {
 }
 
 #[test]
-fn a_death_counts_against_every_part_of_its_lease_and_then_each_part_stands_alone() {
+fn death_counts_for_all_parts_of_its_lease_and_isolates_them() {
     let grain = std::num::NonZeroU64::new(64).unwrap();
     let mut farm = Farm::with(Config { grain, prefetch: 0, task: 60_000, least_task: 60_000, ..config() });
     let id = farm.submit(job(&[1], 1, &[8]));
@@ -186,7 +186,7 @@ fn a_death_counts_against_every_part_of_its_lease_and_then_each_part_stands_alon
 }
 
 #[test]
-fn a_death_waits_for_the_other_lease_of_the_task_and_is_forgotten_if_that_is_done() {
+fn death_waits_for_the_other_lease_and_is_void_if_that_finishes() {
     let mut farm = Farm::with(Config { late: 1_000, prefetch: 0, ..config() });
     let id = farm.submit(job(&[1], 2, &[4]));
     farm.join(1);

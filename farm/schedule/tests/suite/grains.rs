@@ -33,7 +33,7 @@ fn refused(commands: &[Command]) -> bool {
 }
 
 #[test]
-fn a_task_of_unknown_pace_is_small_and_the_next_ones_take_the_time_that_a_task_should() {
+fn task_of_unknown_pace_is_small_and_next_ones_take_target_time() {
     // A single frame behaves the same, while it has enough work for all workers.
     for frames in [&[1, 2, 3][..], &[1]] {
         next_ones_take_their_time(frames);
@@ -84,7 +84,7 @@ fn progress_tells_the_pace_before_anything_is_done() {
 }
 
 #[test]
-fn at_the_end_of_a_job_tasks_are_smaller_so_that_all_workers_end_together() {
+fn tasks_shrink_at_the_job_end_so_that_workers_end_together() {
     let mut farm = farm();
     (1..=4).for_each(|worker| drop(farm.join(worker)));
     farm.submit(job(&[1], 1, &[64]));
@@ -101,7 +101,7 @@ fn at_the_end_of_a_job_tasks_are_smaller_so_that_all_workers_end_together() {
 }
 
 #[test]
-fn a_lease_that_ends_gives_back_all_of_its_grains_and_a_late_result_changes_nothing() {
+fn ended_lease_returns_all_chunks_and_late_results_are_refused() {
     let mut farm = farm();
     let id = farm.submit(job(&[1], 1, &[64]));
     farm.join(1);
@@ -174,7 +174,7 @@ fn a_grain_that_fails_is_tried_alone_and_put_aside_alone() {
 }
 
 #[test]
-fn a_lease_that_comes_back_is_adopted_with_just_its_samples_if_nobody_has_any_of_them() {
+fn returning_lease_is_adopted_with_its_samples_if_all_are_free() {
     let mut farm = farm();
     farm.submit(job(&[1], 1, &[64]));
     farm.join(1);

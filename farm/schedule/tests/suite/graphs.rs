@@ -79,7 +79,7 @@ fn stages_of_the_job_take_no_frames_place() {
 }
 
 #[test]
-fn what_is_made_of_the_whole_job_is_made_as_its_frames_are_finished_and_the_job_ends_with_it() {
+fn job_scope_stages_run_as_frames_finish_and_end_the_job() {
     let mut farm = Farm::new();
     let id = farm.submit(whole(&[3, 5, 9], false));
     farm.join(1);
@@ -99,7 +99,7 @@ fn what_is_made_of_the_whole_job_is_made_as_its_frames_are_finished_and_the_job_
 }
 
 #[test]
-fn a_frame_that_cannot_be_finished_is_missing_where_gaps_are_allowed_and_a_retry_fills_them() {
+fn unfinishable_frame_is_a_gap_if_allowed_and_retry_fills_it() {
     let retries = [Control::Retry, Control::RetryFrames(vec![1])];
     for (gaps, retry) in [true, false].into_iter().flat_map(|gaps| retries.clone().map(|retry| (gaps, retry))) {
         let mut farm = Farm::with(Config { prefetch: 0, ..config() });
@@ -187,7 +187,7 @@ fn read_by_first(graph: &Graph, reader: u16) -> Vec<(u32, u32)> {
 }
 
 #[test]
-fn a_stage_of_another_scope_reads_of_a_loop_the_last_round_or_all_of_them_as_it_asks() {
+fn stage_of_another_scope_reads_the_last_or_all_loop_rounds() {
     let (last, all) = (vec![(2, 0), (2, 1)], vec![(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]);
     for (round, expected) in [(Round::Same, last), (Round::Every, all)] {
         for (made_by, read_by) in [(Scope::Frame, Scope::Job), (Scope::Content, Scope::Frame)] {
@@ -204,7 +204,7 @@ fn a_stage_of_another_scope_reads_of_a_loop_the_last_round_or_all_of_them_as_it_
 }
 
 #[test]
-fn what_the_next_round_reads_of_a_decision_and_what_is_behind_the_loop_too_is_there_in_every_round() {
+fn decision_output_for_next_round_and_image_exists_every_round() {
     let graph = || {
         let close = image(Scope::Frame, &[Role::Stops]).reads(0, Role::Tile, Reach::All).closes(0, 3);
         let stages = vec![
@@ -244,7 +244,7 @@ fn what_the_next_round_reads_of_a_decision_and_what_is_behind_the_loop_too_is_th
 }
 
 #[test]
-fn a_round_is_counted_once_also_where_what_closed_it_is_done_again() {
+fn round_is_counted_once_even_if_its_closing_task_is_redone() {
     let mut farm = Farm::new();
     let before = |stage, role| need(stage, role, Reach::All, Round::Before);
     let blocks = Template::new(Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Sums]);
@@ -314,7 +314,7 @@ fn a_task_that_was_put_aside_in_another_round_gets_no_copy() {
 }
 
 #[test]
-fn a_frame_that_has_lost_what_was_put_aside_in_another_round_can_only_be_tried_again() {
+fn frame_fails_if_lost_output_is_of_a_task_quarantined_later() {
     let mut farm = Farm::with(Config { prefetch: 0, ..config() });
     let before = |stage, role| need(stage, role, Reach::All, Round::Before);
     let blocks = Template::new(Reduce, Scope::Frame, Sizes::even(3, 1), &[Role::Sums]).needs(before(0, Role::Sums));
@@ -344,7 +344,7 @@ fn a_frame_that_has_lost_what_was_put_aside_in_another_round_can_only_be_tried_a
 }
 
 #[test]
-fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone() {
+fn tiles_take_decided_steps_and_one_that_needs_none_is_skipped() {
     let mut farm = Farm::new();
     let id = farm.submit(common::job(&[1], 3, &[4, 8, 16]));
     farm.join(1);
@@ -375,7 +375,7 @@ fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone(
 }
 
 #[test]
-fn an_image_behind_the_loop_that_cannot_be_made_is_named_as_it_was_leased() {
+fn failed_image_after_the_loop_is_named_as_it_was_leased() {
     let mut farm = Farm::new();
     let graph = Graph {
         stages: vec![
@@ -405,7 +405,7 @@ fn an_image_behind_the_loop_that_cannot_be_made_is_named_as_it_was_leased() {
 }
 
 #[test]
-fn who_reads_tiles_at_first_or_at_second_hand_is_told_how_many_steps_each_of_them_has_taken() {
+fn direct_and_indirect_tile_readers_get_step_counts_per_tile() {
     let mut farm = Farm::new();
     let graph = Graph {
         stages: vec![
@@ -523,7 +523,7 @@ fn a_job_with_gaps_goes_on_when_its_last_frame_fails() {
 }
 
 #[test]
-fn a_job_that_fails_takes_back_what_reads_a_frame_that_is_lost_since() {
+fn failed_job_revokes_readers_of_a_frame_lost_since() {
     let mut farm = Farm::with(Config { prefetch: 0, ..config() });
     let id = farm.submit(whole(&[1], false));
     farm.join(1);
@@ -547,7 +547,7 @@ fn tagged() -> JobSpec {
 }
 
 #[test]
-fn a_stage_with_tags_waits_for_a_worker_that_has_them_and_says_which_are_missing() {
+fn tagged_stage_waits_for_a_worker_and_names_missing_tags() {
     let mut farm = Farm::with(Config { prefetch: 0, ..config() });
     let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..tagged() });
     farm.join_with(1, vec!["lab".into()]);
@@ -565,7 +565,7 @@ fn a_stage_with_tags_waits_for_a_worker_that_has_them_and_says_which_are_missing
 }
 
 #[test]
-fn what_failed_on_the_only_worker_with_its_stage_s_tags_is_tried_there_again_and_nobody_else_gets_a_copy() {
+fn failed_task_is_retried_on_its_only_tagged_worker_not_copied() {
     let mut farm = Farm::with(Config { prefetch: 0, late: 100, ..config() });
     let id = farm.submit(JobSpec { frames: vec![1, 2], ..tagged() });
     farm.join_with(1, vec!["big".into()]);

@@ -50,7 +50,7 @@ fn released(farm: &mut Farm, held: &Assignment, how: Decision) -> usize {
 }
 
 #[test]
-fn a_group_is_gathered_as_soon_as_its_tiles_are_there_and_the_merge_reads_groups() {
+fn group_is_reduced_when_its_tiles_exist_and_merge_reads_groups() {
     let (mut farm, id) = farm(&[4]);
     farm.work(1, Done);
     assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)], "half a group is none");
@@ -89,7 +89,7 @@ fn the_next_round_gathers_with_the_sums_of_the_round_before() {
 }
 
 #[test]
-fn a_lost_tile_is_rendered_again_and_a_lost_group_is_too_but_the_others_are_not() {
+fn lost_tile_or_group_is_rendered_again_and_others_are_not() {
     let (mut farm, id) = farm(&[4]);
     let gather = until(&mut farm, Reduce);
     let first = gather.work.artifacts().next().unwrap();
@@ -107,7 +107,7 @@ fn a_lost_tile_is_rendered_again_and_a_lost_group_is_too_but_the_others_are_not(
 }
 
 #[test]
-fn lost_sums_are_made_again_with_their_tiles_alone_and_end_the_frame_when_they_are_lost_again_and_again() {
+fn lost_sums_are_remade_with_only_their_tiles_until_a_limit() {
     let (mut farm, id) = farm(&[4, 8]);
     let merge = until(&mut farm, Image);
     farm.complete(1, &merge, Continue);
@@ -135,7 +135,7 @@ fn lost_sums_are_made_again_with_their_tiles_alone_and_end_the_frame_when_they_a
 }
 
 #[test]
-fn a_gather_out_of_attempts_blocks_the_frame_when_nothing_else_is_left_and_a_retry_runs_just_that() {
+fn reduce_out_of_attempts_blocks_last_and_is_retried_alone() {
     let (mut farm, id) = farm(&[4]);
     for _ in 0..3 {
         let gather = until_it_is(&mut farm, |task| task.stage.kind == Reduce && task.index == 0);
@@ -155,7 +155,7 @@ fn a_gather_out_of_attempts_blocks_the_frame_when_nothing_else_is_left_and_a_ret
 }
 
 #[test]
-fn a_coordinator_that_begins_anew_goes_on_with_the_groups_that_are_gathered_even_from_a_snapshot() {
+fn restarted_coordinator_resumes_reduced_groups_from_snapshot() {
     let (mut farm, id) = farm(&[4, 8]);
     let merge = until(&mut farm, Image);
     farm.complete(1, &merge, Continue);
@@ -198,7 +198,7 @@ fn a_merge_says_what_it_waits_for() {
 }
 
 #[test]
-fn a_gather_that_keeps_no_sums_for_the_next_round_counts_as_failed() {
+fn reduce_without_sums_for_next_round_counts_as_failed() {
     let (mut farm, _) = farm(&[4, 8]);
     let gather = until(&mut farm, Reduce);
     let mut result = common::result(&gather, Continue);

@@ -36,7 +36,7 @@ fn hints(farm: &Farm, worker: u64) -> Vec<(u32, u32, Artifact)> {
 }
 
 #[test]
-fn a_task_looks_at_what_is_there_of_the_frame_before_and_waits_for_nothing() {
+fn tasks_read_existing_hints_of_previous_frame_without_waiting() {
     let mut farm = farm();
     farm.submit(job(&[3, 7]));
     for worker in 1..=4 {
@@ -52,7 +52,7 @@ fn a_task_looks_at_what_is_there_of_the_frame_before_and_waits_for_nothing() {
 }
 
 #[test]
-fn what_a_frame_has_left_is_kept_until_the_frame_behind_is_finished() {
+fn hints_are_kept_until_next_frame_is_finished() {
     let mut farm = farm();
     let id = farm.submit(job(&[1, 2]));
     farm.join(1);
@@ -75,7 +75,7 @@ fn what_a_frame_has_left_is_kept_until_the_frame_behind_is_finished() {
 }
 
 #[test]
-fn what_another_build_has_left_or_a_frame_that_begins_anew_is_not_looked_at() {
+fn hints_of_other_builds_and_restarted_frames_are_ignored() {
     let mut farm = farm();
     farm.submit(job(&[1, 2]));
     let join = |farm: &mut Farm, worker: u64, engine: &str| {

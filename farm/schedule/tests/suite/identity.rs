@@ -110,7 +110,7 @@ fn a_lease_from_elsewhere_takes_over_none_that_runs() {
 }
 
 #[test]
-fn a_lease_is_not_taken_over_while_it_runs_by_a_worker_of_another_build() {
+fn running_lease_is_not_adopted_by_worker_of_another_build() {
     let (mut farm, held) = begun();
     farm.work(1, Done);
     let running = farm.first_of(1);
@@ -123,7 +123,7 @@ fn a_lease_is_not_taken_over_while_it_runs_by_a_worker_of_another_build() {
 }
 
 #[test]
-fn a_report_counts_for_the_lease_that_it_names_alone_and_from_the_session_that_holds_it() {
+fn reports_count_only_for_named_lease_and_its_session() {
     let (_, held) = begun();
     let names = others(&held).into_iter().map(|(what, task, epoch)| (what, 1, task, epoch));
     for (what, from, task, epoch) in names.chain([("session", 2, held.task, held.epoch)]) {
@@ -148,7 +148,7 @@ fn a_report_counts_for_the_lease_that_it_names_alone_and_from_the_session_that_h
 }
 
 #[test]
-fn a_repetition_is_answered_as_such_by_the_name_that_has_counted_alone() {
+fn repeated_completion_is_accepted_only_for_counted_lease() {
     let ends: [fn(&Assignment) -> bool; 3] = [
         |held| held.task.stage.kind == StageKind::Render,
         // Its outputs are already released when the next round has begun.
@@ -181,7 +181,7 @@ fn a_repetition_is_answered_as_such_by_the_name_that_has_counted_alone() {
 }
 
 #[test]
-fn a_heartbeat_renews_the_leases_that_it_names_alone_and_those_of_its_session() {
+fn heartbeat_renews_only_named_leases_of_its_session() {
     let (_, held) = begun();
     let names = others(&held).into_iter().map(|(what, task, epoch)| (what, 1, task, epoch));
     for (what, from, task, epoch) in names.chain([("session", 2, held.task, held.epoch)]) {
@@ -206,7 +206,7 @@ fn a_heartbeat_renews_the_leases_that_it_names_alone_and_those_of_its_session() 
 }
 
 #[test]
-fn a_log_and_what_a_lease_took_are_kept_of_the_lease_that_they_name_alone() {
+fn logs_and_usage_are_kept_only_for_named_lease() {
     let (_, held) = begun();
     let names = others(&held).into_iter().map(|(what, task, epoch)| (what, 1, task, epoch));
     for (what, from, task, epoch) in names.chain([("session", 2, held.task, held.epoch)]) {
@@ -247,7 +247,7 @@ fn a_death_counts_for_the_task_and_job_that_it_names_alone() {
 }
 
 #[test]
-fn a_lease_that_nobody_has_any_more_is_adopted_if_it_is_of_a_task_here() {
+fn unheld_lease_is_adopted_only_for_existing_task() {
     let (farm, held) = begun();
     let own = farm.lease(&held);
     // These parts give tasks that exist here and are not leased; the epochs are of leases that nobody holds any more.
@@ -284,7 +284,7 @@ fn what_a_lease_took_is_noted_of_it_whichever_ends_first() {
 }
 
 #[test]
-fn a_lease_that_is_taken_over_has_its_whole_time_and_begins_anew_with_the_preparation() {
+fn adopted_lease_gets_full_time_and_restarts_preparation() {
     let (mut farm, held) = begun();
     let config = farm.scheduler.config().clone();
     farm.heartbeat(1, Phase::Working, 300);

@@ -33,7 +33,7 @@ fn restarted(commands: &[Command]) -> Vec<(JobId, u32)> {
 }
 
 #[test]
-fn a_finished_frame_whose_image_is_lost_is_rendered_again_and_its_job_runs_and_says_why() {
+fn finished_frame_with_lost_image_is_rendered_again_with_reason() {
     let (mut farm, id) = done();
     let (lost, before) = (image(&farm, id, 2), farm.scheduler.frames(id).unwrap());
     farm.leave(1);
@@ -68,7 +68,7 @@ fn a_finished_frame_whose_image_is_lost_is_rendered_again_and_its_job_runs_and_s
 }
 
 #[test]
-fn what_is_no_image_of_a_finished_frame_changes_nothing_when_it_is_lost() {
+fn loss_of_anything_but_finished_images_changes_nothing() {
     let (mut farm, id) = done();
     let open = farm.submit(job(&[1], 2, &[4]));
     let held = farm.first_of(1);
@@ -85,7 +85,7 @@ fn what_is_no_image_of_a_finished_frame_changes_nothing_when_it_is_lost() {
 }
 
 #[test]
-fn a_lost_image_of_a_cancelled_job_is_not_told_as_finished_and_a_retry_renders_it() {
+fn lost_image_of_cancelled_job_is_unfinished_until_retried() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2], 1, &[4]));
     farm.join(1);
@@ -105,7 +105,7 @@ fn a_lost_image_of_a_cancelled_job_is_not_told_as_finished_and_a_retry_renders_i
 }
 
 #[test]
-fn a_job_that_is_done_again_is_kept_as_long_as_one_that_has_just_ended() {
+fn job_done_again_is_kept_as_long_as_newly_ended_job() {
     let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..common::config() });
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
@@ -145,7 +145,7 @@ fn a_time_budget_begins_again_with_the_frame() {
 }
 
 #[test]
-fn a_result_that_is_too_large_for_the_store_ends_the_job_and_says_so() {
+fn result_too_large_for_store_fails_job_with_reason() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);

@@ -55,7 +55,7 @@ fn a_result_on_its_way_makes_room_for_the_task_behind_the_next() {
 }
 
 #[test]
-fn a_finished_frame_is_put_together_at_once_while_all_workers_compute_for_two_owners() {
+fn finished_frame_merges_at_once_while_two_owners_keep_all_busy() {
     (0..=2).for_each(frames_are_put_together_at_once);
 }
 
@@ -96,7 +96,7 @@ fn frames_are_put_together_at_once(prefetch: u32) {
 }
 
 #[test]
-fn a_sick_worker_that_is_alone_fails_few_tasks_a_minute_and_says_so() {
+fn lone_failing_worker_gets_few_tasks_and_shows_as_quarantined() {
     let mut farm = farm();
     let id = farm.submit(job(&[1], 600, &[8]));
     farm.join(1);
@@ -127,7 +127,7 @@ fn a_sick_worker_that_is_alone_fails_few_tasks_a_minute_and_says_so() {
 }
 
 #[test]
-fn a_drained_worker_is_given_nothing_and_what_it_gives_back_goes_to_another_uncounted() {
+fn drained_worker_gets_nothing_and_returns_tasks_uncounted() {
     let mut farm = farm();
     let id = farm.submit(job(&[1], 9, &[4]));
     farm.join(1);

@@ -28,7 +28,7 @@ fn refused(outcome: &Result<JobId, Refusal>, limit: u64) -> bool {
 }
 
 #[test]
-fn an_owner_has_so_many_jobs_frames_and_tasks_and_an_ended_job_counts_no_more() {
+fn quota_limits_jobs_frames_and_tasks_until_jobs_end() {
     let quota = Quota { jobs: 3, frames: 10, tasks: 48 };
     let mut farm = Farm::with(Config { quota, ..config() });
     let first = submit(&mut farm, of("ann", &[1, 2], 5)).unwrap();

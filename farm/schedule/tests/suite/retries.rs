@@ -66,7 +66,7 @@ fn only_the_frames_that_are_named_are_tried_again() {
 }
 
 #[test]
-fn a_frame_that_fails_again_needs_as_many_attempts_as_the_first_time() {
+fn retried_frame_gets_as_many_attempts_as_first_time() {
     let (mut farm, id) = failed();
     farm.control(id, frames(&[2]));
     run(&mut farm, id, &[2]);
@@ -79,7 +79,7 @@ fn a_frame_that_fails_again_needs_as_many_attempts_as_the_first_time() {
 }
 
 #[test]
-fn what_names_no_frame_of_the_job_is_refused_and_changes_nothing() {
+fn retry_of_unknown_frames_is_refused_and_changes_nothing() {
     let (mut farm, id) = failed();
     let before = farm.scheduler.ledger().clone();
     for (named, word) in [(&[][..], "at least one"), (&[1, 9], "frame 9"), (&[0], "frame 0")] {
@@ -94,7 +94,7 @@ fn what_names_no_frame_of_the_job_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn a_job_that_is_over_as_a_whole_takes_no_retry_of_single_frames() {
+fn cancelled_or_done_job_refuses_retry_of_single_frames() {
     let (mut farm, id) = failed();
     farm.control(id, Control::Retry);
     farm.control(id, Control::Cancel);

@@ -26,7 +26,7 @@ fn recorded(commands: &[Command]) -> bool {
 }
 
 #[test]
-fn a_silent_worker_loses_its_lease_and_a_late_answer_changes_nothing() {
+fn silent_worker_loses_lease_and_its_late_result_is_refused() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
@@ -44,7 +44,7 @@ fn a_silent_worker_loses_its_lease_and_a_late_answer_changes_nothing() {
 }
 
 #[test]
-fn heartbeats_with_progress_keep_a_lease_and_standing_still_loses_it() {
+fn heartbeats_with_progress_keep_lease_and_stall_loses_it() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
@@ -66,7 +66,7 @@ fn heartbeats_with_progress_keep_a_lease_and_standing_still_loses_it() {
 }
 
 #[test]
-fn a_long_merge_keeps_its_lease_by_the_inputs_that_are_in_and_these_are_no_samples() {
+fn inputs_of_long_merge_keep_its_lease_and_count_no_samples() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
@@ -102,7 +102,7 @@ fn nobody_fetches_ahead_what_another_could_begin() {
 }
 
 #[test]
-fn a_frame_is_merged_after_its_last_tile_and_the_next_frame_overlaps() {
+fn frame_merges_after_last_tile_while_next_frame_renders() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2], 2, &[4]));
     farm.join(1);
@@ -123,7 +123,7 @@ fn a_frame_is_merged_after_its_last_tile_and_the_next_frame_overlaps() {
 }
 
 #[test]
-fn a_merge_that_says_continue_opens_the_next_round_before_later_frames() {
+fn merge_that_continues_opens_next_round_before_later_frames() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2, 3], 1, &[4, 8, 16]));
     farm.join_as(1, Registration { slots: 1, ..registration() });
@@ -155,7 +155,7 @@ fn a_repeated_completion_gets_the_recorded_answer() {
 }
 
 #[test]
-fn a_task_that_fails_three_times_is_put_aside_and_the_job_goes_on_and_a_retry_runs_just_that() {
+fn task_failing_three_times_is_quarantined_and_retried_alone() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2], 2, &[4]));
     farm.join(1);
@@ -192,7 +192,7 @@ fn a_failed_task_goes_to_another_worker_if_there_is_one() {
 }
 
 #[test]
-fn a_result_without_its_artifact_is_refused_and_the_task_done_again() {
+fn result_without_artifact_is_refused_and_task_is_done_again() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
@@ -236,7 +236,7 @@ fn a_full_disk_uses_up_no_attempt_and_gives_the_worker_a_rest() {
 }
 
 #[test]
-fn a_worker_that_is_silent_is_told_as_such_and_not_as_one_that_rests() {
+fn silent_worker_is_reported_as_silent_not_as_resting() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 6, &[4]));
     farm.join(1);
@@ -251,7 +251,7 @@ fn a_worker_that_is_silent_is_told_as_such_and_not_as_one_that_rests() {
 }
 
 #[test]
-fn a_scene_that_cannot_be_read_fails_the_job_at_once_and_recalls_its_leases() {
+fn unreadable_scene_fails_job_at_once_and_revokes_leases() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2], 4, &[4]));
     farm.join(1);
@@ -330,7 +330,7 @@ fn the_job_with_more_priority_goes_first_and_says_so() {
 }
 
 #[test]
-fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_proved_itself() {
+fn worker_with_three_failed_tasks_is_quarantined_until_success() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 400, &[8]));
     farm.join(1);
@@ -372,7 +372,7 @@ fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_prove
 }
 
 #[test]
-fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count() {
+fn worker_keeps_tasks_and_results_over_coordinator_restart() {
     let mut farm = Farm::with(Config { regroup: 500, ..common::config() });
     let id = farm.submit(job(&[1], 6, &[8]));
     farm.join(1);
@@ -395,7 +395,7 @@ fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count()
 }
 
 #[test]
-fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out() {
+fn stalled_coordinator_reads_heartbeats_before_leases_expire() {
     let mut farm = Farm::with(Config { regroup: 500, ..common::config() });
     farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
@@ -418,7 +418,7 @@ fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out
 }
 
 #[test]
-fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_another() {
+fn registered_lease_held_elsewhere_or_of_other_job_is_revoked() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 2, &[8]));
     farm.join(1);
@@ -440,7 +440,7 @@ fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_
 }
 
 #[test]
-fn a_worker_that_starts_again_takes_its_lease_from_the_session_that_nobody_has_heard_to_end() {
+fn restarted_worker_takes_lease_from_its_unended_session() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[8]));
     farm.join(1);
@@ -457,7 +457,7 @@ fn a_worker_that_starts_again_takes_its_lease_from_the_session_that_nobody_has_h
 }
 
 #[test]
-fn a_failure_that_counts_is_not_counted_again_by_a_worker_that_brings_its_lease_along() {
+fn counted_failure_is_not_counted_again_for_rejoining_worker() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[8]));
     farm.join(1);
@@ -480,7 +480,7 @@ fn a_failure_that_counts_is_not_counted_again_by_a_worker_that_brings_its_lease_
 }
 
 #[test]
-fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_undoes_it() {
+fn drained_worker_finishes_tasks_and_gets_none_until_undrained() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2], 2, &[8]));
     farm.join(1);
@@ -510,7 +510,7 @@ fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_und
 }
 
 #[test]
-fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
+fn failure_logs_are_kept_with_job_and_tile_logs_for_a_while() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 2, &[8]));
     farm.join(1);
@@ -570,7 +570,7 @@ fn of_very_many_failures_the_first_logs_and_the_latest_are_kept() {
 }
 
 #[test]
-fn the_latest_logs_of_tiles_are_kept_many_short_ones_or_as_many_long_ones_as_four_mebibytes_hold() {
+fn latest_tile_logs_are_kept_within_count_and_byte_limits() {
     for (length, name, kept) in [(100, "w".repeat(60), 2_048), (64 << 10, "w".into(), 60)] {
         let mut farm = Farm::new();
         let id = farm.submit(job(&[1], 1, &[8]));
@@ -597,7 +597,7 @@ fn several_heartbeats_fit_into_a_lease_of_any_length() {
 }
 
 #[test]
-fn a_task_that_failed_on_the_one_worker_does_not_wait_for_another_that_is_not_trusted() {
+fn failed_task_does_not_wait_for_quarantined_worker() {
     let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
     let id = farm.submit(job(&[1], 4, &[8]));
     (1..=2).for_each(|worker| drop(farm.join(worker)));
@@ -616,7 +616,7 @@ fn a_task_that_failed_on_the_one_worker_does_not_wait_for_another_that_is_not_tr
 }
 
 #[test]
-fn a_worker_that_is_to_prove_itself_and_loses_its_task_to_no_fault_of_its_own_gets_another() {
+fn worker_on_probation_gets_new_task_after_blameless_loss() {
     let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
     farm.submit(job(&[1], 12, &[8]));
     farm.join(1);
@@ -741,7 +741,7 @@ fn a_job_of_a_million_tasks_is_one_fact_and_no_rows() {
 }
 
 #[test]
-fn a_snapshot_of_another_version_is_refused_and_a_damaged_one_too() {
+fn damaged_snapshot_or_one_of_another_version_is_refused() {
     let mut farm = Farm::new();
     farm.submit(job(&[1], 4, &[4]));
     let mut bytes = farm.scheduler.ledger().encode().unwrap();
@@ -776,7 +776,7 @@ fn a_worker_with_short_tasks_holds_more_of_them() {
 }
 
 #[test]
-fn a_job_that_ended_long_ago_is_forgotten_and_one_that_somebody_retries_is_not() {
+fn job_that_ended_long_ago_expires_and_retried_job_does_not() {
     let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..common::config() });
     let submit = |farm: &mut Farm, key: &str| {
         let spec = Box::new(job(&[1], 1, &[4]));

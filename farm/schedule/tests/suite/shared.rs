@@ -68,7 +68,7 @@ fn it_is_done_once_for_two_jobs_and_again_for_another_content() {
 }
 
 #[test]
-fn the_last_of_those_who_wait_stops_it_and_its_results_are_there_for_who_comes_later() {
+fn last_waiting_job_stops_shared_work_and_results_remain() {
     let mut farm = farm(config());
     let (ann, bob) = (submit(&mut farm, job("ann", &[1], 1)), submit(&mut farm, job("bob", &[1], 1)));
     farm.join(1);
@@ -87,7 +87,7 @@ fn the_last_of_those_who_wait_stops_it_and_its_results_are_there_for_who_comes_l
 }
 
 #[test]
-fn its_time_is_split_over_the_owners_who_wait_by_weight_and_the_rest_is_the_first_ones() {
+fn shared_time_is_split_by_weight_with_remainder_to_first_owner() {
     let mut farm = farm(Config { weights: [("bob".to_owned(), 3)].into(), ..config() });
     for (owner, frames) in [("ann", &[1][..]), ("bob", &[1]), ("bob", &[1, 2]), ("eve", &[1])] {
         submit(&mut farm, job(owner, frames, 1));
@@ -99,7 +99,7 @@ fn its_time_is_split_over_the_owners_who_wait_by_weight_and_the_rest_is_the_firs
 }
 
 #[test]
-fn what_cannot_be_done_blocks_all_that_need_it_and_a_retry_of_one_opens_it_for_all() {
+fn failed_shared_task_blocks_all_dependents_until_one_retries() {
     for retry in [Control::Retry, Control::RetryFrames(vec![1])] {
         blocks_all_until(retry);
     }
@@ -129,7 +129,7 @@ fn blocks_all_until(retry: Control) {
 }
 
 #[test]
-fn each_build_does_its_own_and_a_frame_takes_none_but_that_of_its_build() {
+fn each_build_makes_shared_results_for_its_own_frames_only() {
     let mut farm = farm(config());
     let id = submit(&mut farm, job("ann", &[1, 2], 1));
     let join = |farm: &mut Farm, worker: u64, engine: &str| {
@@ -152,7 +152,7 @@ fn each_build_does_its_own_and_a_frame_takes_none_but_that_of_its_build() {
 }
 
 #[test]
-fn a_frame_that_begins_anew_is_blocked_where_another_build_could_not_do_what_it_needs() {
+fn restarted_frame_is_blocked_by_shared_failure_of_new_build() {
     let mut farm = farm(config());
     let mut spec = job("ann", &[1, 2], 1);
     let pair =
@@ -200,7 +200,7 @@ fn what_a_drained_build_has_begun_is_begun_again_by_another() {
 }
 
 #[test]
-fn a_frame_goes_on_with_its_build_though_another_has_begun_what_it_needs() {
+fn frame_keeps_its_build_though_another_began_shared_work() {
     let mut farm = farm(Config { shared_bytes: 0, ..config() });
     let spec = |owner: &str| {
         let mut spec = job(owner, &[1], 1);
@@ -245,7 +245,7 @@ fn a_frame_goes_on_with_its_build_though_another_has_begun_what_it_needs() {
 }
 
 #[test]
-fn what_nobody_needs_any_more_goes_when_it_takes_too_many_bytes_and_not_before() {
+fn unneeded_shared_results_are_dropped_only_over_byte_limit() {
     for (shared_bytes, is_kept) in [(1 << 20, true), (0, false)] {
         let mut farm = farm(Config { shared_bytes, ..config() });
         submit(&mut farm, job("ann", &[1], 1));
@@ -273,7 +273,7 @@ fn workers_that_fit_one_of_those_who_wait_do_it() {
 }
 
 #[test]
-fn what_cannot_be_done_at_all_takes_back_the_leases_of_those_that_need_it() {
+fn fatal_shared_failure_revokes_leases_of_dependents() {
     let mut farm = farm(config());
     let id = submit(&mut farm, job("ann", &[1, 2], 1));
     farm.join(1);
@@ -294,7 +294,7 @@ fn what_cannot_be_done_at_all_takes_back_the_leases_of_those_that_need_it() {
 }
 
 #[test]
-fn what_a_job_has_made_without_frames_is_made_again_when_another_job_tries_what_they_need_again() {
+fn job_result_with_gaps_is_remade_after_another_jobs_retry() {
     for is_made in [true, false] {
         let mut farm = farm(config());
         let spec = |owner: &str, frames: &[u32]| {
@@ -337,7 +337,7 @@ fn what_a_job_has_made_without_frames_is_made_again_when_another_job_tries_what_
 }
 
 #[test]
-fn a_failed_task_is_spared_a_worker_only_where_another_fits_a_job_that_waits() {
+fn failed_task_avoids_worker_only_if_another_fits_waiting_job() {
     for tags_of_frames in [false, true] {
         let mut farm = farm(config());
         let tagged = |owner: &str, tag: &str| {
@@ -407,7 +407,7 @@ fn another_build_begins_what_no_worker_left_has_the_tags_for() {
 }
 
 #[test]
-fn what_no_worker_there_can_go_on_with_is_forgotten_after_a_while_though_others_of_its_build_stay() {
+fn shared_work_expires_when_no_fitting_worker_of_build_is_left() {
     let orphaned = config().orphaned;
     let mut farm = farm(config());
     submit(&mut farm, Box::new(JobSpec { tags: vec!["lab".into()], ..*job("ann", &[1], 1) }));
@@ -429,7 +429,7 @@ fn what_no_worker_there_can_go_on_with_is_forgotten_after_a_while_though_others_
 }
 
 #[test]
-fn what_is_begun_and_nobody_needs_any_more_counts_like_what_is_done_and_the_oldest_goes_first() {
+fn unneeded_shared_work_is_evicted_oldest_first_even_if_begun() {
     // There is room for two contents.
     let mut farm = farm(Config { shared_bytes: Config::SHARED_OVERHEAD * 5 / 2, ..config() });
     farm.join(1);

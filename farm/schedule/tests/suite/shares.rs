@@ -77,7 +77,7 @@ fn owners_share_the_time_by_their_weights() {
 }
 
 #[test]
-fn a_machine_that_died_fifty_times_did_not_use_up_its_owners_share() {
+fn fifty_machine_deaths_do_not_use_up_owners_share() {
     let mut farm = Farm::with(patient());
     farm.submit(JobSpec { tags: vec!["lab".into()], ..of("ann", 400) });
     farm.submit(JobSpec { tags: vec!["hall".into()], ..of("bob", 400) });
@@ -124,7 +124,7 @@ fn what_owners_have_used_is_known_after_a_restart() {
 }
 
 #[test]
-fn who_was_put_level_with_the_others_stays_so_however_soon_the_coordinator_is_killed() {
+fn leveled_owner_stays_level_after_immediate_coordinator_kill() {
     let mut farm = Farm::with(patient());
     farm.submit(of("ann", 4000));
     farm.join(1);
@@ -138,7 +138,7 @@ fn who_was_put_level_with_the_others_stays_so_however_soon_the_coordinator_is_ki
 }
 
 #[test]
-fn who_comes_to_a_farm_that_stands_idle_does_not_shut_out_those_who_worked_it() {
+fn newcomer_on_idle_farm_does_not_shut_out_earlier_owners() {
     let mut farm = Farm::with(patient());
     farm.submit(of("ann", 400));
     farm.join(1);
@@ -151,7 +151,7 @@ fn who_comes_to_a_farm_that_stands_idle_does_not_shut_out_those_who_worked_it() 
 }
 
 #[test]
-fn a_lease_is_charged_for_the_time_that_it_was_held_however_it_ends_and_once() {
+fn lease_is_charged_once_for_its_held_time_however_it_ends() {
     let single = Config { prefetch: 0, stall: 3_000, lease: 5_000, ..config() };
     let mut farm = Farm::with(single);
     let id = farm.submit(of("ann", 40));

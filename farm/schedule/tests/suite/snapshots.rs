@@ -79,7 +79,7 @@ const LIFE: &[fn(&mut Farm)] = &[
 ];
 
 #[test]
-fn a_snapshot_says_what_the_one_before_it_and_the_facts_since_say_whenever_it_is_made() {
+fn snapshot_equals_previous_snapshot_plus_later_facts() {
     // Vary which events a snapshot includes, and which come after it.
     for every in 1..=LIFE.len() {
         let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..config() });
@@ -143,7 +143,7 @@ fn a_log_of_version_8_is_read_as_the_ledger_that_wrote_it() {
 const LOG_10: &[u8] = include_bytes!("../files/log-10.bin");
 
 #[test]
-fn a_log_of_version_10_is_read_with_its_dates_and_announces_no_end() {
+fn version_10_log_is_read_with_dates_and_announces_no_end() {
     let parts = parts(LOG_10, 10);
     let mut ledger = Ledger::default();
     for part in &parts[1..] {

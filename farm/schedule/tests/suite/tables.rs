@@ -51,7 +51,7 @@ fn tasks_wait_run_and_are_done_and_so_are_their_frames() {
 }
 
 #[test]
-fn a_task_that_failed_says_why_and_after_its_last_attempt_its_frame_has_failed() {
+fn failed_task_reports_reason_and_last_attempt_fails_frame() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
@@ -74,7 +74,7 @@ fn a_task_that_failed_says_why_and_after_its_last_attempt_its_frame_has_failed()
 }
 
 #[test]
-fn any_window_is_a_part_of_the_whole_and_filters_count_what_they_let_through() {
+fn task_windows_are_slices_and_filters_count_their_matches() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2, 3, 4, 5], 7, &[4]));
     farm.join(1);
@@ -108,7 +108,7 @@ fn any_window_is_a_part_of_the_whole_and_filters_count_what_they_let_through() {
 }
 
 #[test]
-fn the_date_of_a_submission_is_told_by_the_farms_clock_where_its_date_is_known() {
+fn submission_date_follows_farm_clock_if_its_date_is_known() {
     for (clock_zero, told) in [(None, None), (Some(1_000_000), Some(1_002_000))] {
         let mut farm = Farm::with(Config { clock_zero, ..common::config() });
         let begun = farm.now.0;
@@ -154,7 +154,7 @@ fn frame_with_error(farm: &mut Farm, frame: u32, error: f64, decision: &Decision
 }
 
 #[test]
-fn the_error_of_a_job_is_that_of_its_worst_frame_and_not_of_the_one_measured_last() {
+fn job_error_is_of_worst_frame_not_of_last_measured() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2, 3], 1, &[4, 8]));
     farm.join(1);

@@ -210,7 +210,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_name_is_a_header_of_one_line_that_leads_to_no_other_folder() {
+    fn any_file_name_becomes_safe_one_line_header() {
         for (name, due) in [
             ("drive.0003.exr", "attachment; filename=\"drive.0003.exr\""),
             ("night drive; 2.png", "attachment; filename=\"night drive; 2.png\""),

@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn tasks_without_a_value_come_last_and_equal_ones_stay_in_their_order() {
+    fn tasks_without_value_sort_last_and_equal_tasks_keep_order() {
         assert_eq!(sorted("processor_seconds"), [3, 0, 2, 1]);
         assert_eq!(sorted("-processor_seconds"), [2, 0, 3, 1]);
         assert_eq!(sorted("workers"), [2, 0, 3, 1]);

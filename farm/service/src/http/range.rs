@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_range_is_a_part_and_anything_else_the_whole_or_beyond_the_end() {
+    fn single_range_is_part_and_other_ranges_are_whole_or_beyond() {
         for (text, due) in [
             ("bytes=0-", Wanted::Part(0..10)),
             ("bytes=0-0", Wanted::Part(0..1)),

@@ -96,7 +96,7 @@ fn waiting_is_the_time_of_the_leases_in_which_no_attempt_ran() {
 }
 
 #[test]
-fn a_frame_that_waits_for_another_job_has_the_same_processor_and_wall_seconds() {
+fn waiting_for_another_job_adds_no_processor_or_wall_seconds() {
     let alone = [[0, 2_000], [2_000, 4_000]];
     let beside = [[0, 2_000], [50_000, 52_000]];
     let [alone, beside] = [alone, beside].map(|leases| {
@@ -109,7 +109,7 @@ fn a_frame_that_waits_for_another_job_has_the_same_processor_and_wall_seconds() 
 }
 
 #[test]
-fn frames_and_tasks_add_up_to_their_job_and_to_the_rows_of_the_statistics() {
+fn frames_and_tasks_add_up_to_job_and_rows_of_statistics() {
     let mut next = numbers();
     let mut records = Vec::new();
     for epoch in 0..2_000 {
@@ -165,7 +165,7 @@ fn frames_and_tasks_add_up_to_their_job_and_to_the_rows_of_the_statistics() {
 }
 
 #[test]
-fn what_is_noted_of_an_attempt_twice_counts_once_in_either_order() {
+fn attempt_noted_twice_counts_once_in_either_order() {
     let whole = attempt(task(1, 0, 0), 1, [1_000, 4_000], [0.5, 2.0, 1.5]);
     let lost = AttemptRecord { ending: Ending::Lost, granted: Tick(0), usage: None, ..whole.clone() };
     for records in [[lost.clone(), whole.clone()], [whole, lost]] {
@@ -199,7 +199,7 @@ fn tasks_keep_who_did_them_and_a_waiting_task_has_no_worker() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn notes_are_read_once_and_then_from_the_last_page_on_and_forgotten_when_nobody_asks() {
+async fn notes_are_read_incrementally_and_dropped_when_unused() {
     let (calls, mut asked) = tokio::sync::mpsc::channel::<Call<()>>(1);
     let notes: Vec<_> = (0..5).map(|k| attempt(task(1, 0, k), u64::from(k), [0, 1_000], [0.0, 1.0, 1.0])).collect();
     let (told, mut pages) = tokio::sync::mpsc::unbounded_channel();

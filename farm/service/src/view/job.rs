@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_job_of_which_nothing_runs_says_in_its_state_that_it_waits_for_memory() {
+    fn job_with_nothing_running_states_that_it_waits_for_memory() {
         let failure = Failure::Resources { message: "full".into() };
         let waits = vec![Wait::WorkersResting, Wait::WorkersInTrouble { workers: 1, seconds: 3, failure }];
         let waiting = JobStatus { state: JobState::Running, workers: 0, waits, ..status() };

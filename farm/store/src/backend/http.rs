@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn nothing_goes_without_encryption_to_a_server_of_which_nobody_has_said_that_it_may() {
+    async fn unencrypted_connection_needs_explicit_permission() {
         let server = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}/", server.local_addr().unwrap());
         for is_allowed in [false, true] {

@@ -209,7 +209,7 @@ async fn who_shows_nothing_may_call_nothing() {
 }
 
 #[tokio::test]
-async fn a_token_that_is_wrong_cut_expired_or_removed_is_refused_with_the_reason() {
+async fn wrong_cut_expired_or_removed_token_is_refused_with_reason() {
     let farm = Farm::start().await;
     let pass = farm.authority.token(holder("admin"), 1).unwrap();
     let secret = pass.token().secret();
@@ -268,7 +268,7 @@ async fn an_open_session_ends_when_its_token_is_removed() {
 }
 
 #[tokio::test]
-async fn who_calls_without_end_is_slowed_down_then_refused_and_others_are_not() {
+async fn flooding_caller_is_slowed_then_refused_and_others_are_not() {
     let limits = Limits { rate: 10, burst: 5, ..Limits::default() };
     let farm = Farm::within(limits).await;
     let [ann, bob] = ["admin", "viewer"].map(|kind| farm.authority.token(holder(kind), 1).unwrap());

@@ -32,7 +32,7 @@ fn small() -> Guides {
 }
 
 #[test]
-fn the_shipped_pictures_are_painted_from_the_shipped_guides_to_the_byte() {
+fn shipped_pictures_equal_paintings_of_shipped_guides_exactly() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = painter(&["paint", shipped("ball.layers.exr").to_str().unwrap(), folder.path().to_str().unwrap()]);
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
@@ -45,7 +45,7 @@ fn the_shipped_pictures_are_painted_from_the_shipped_guides_to_the_byte() {
 }
 
 #[test]
-fn each_style_paints_a_small_render_at_its_size_and_no_two_alike() {
+fn each_style_paints_small_render_at_its_size_and_differently() {
     let sight = Sight::of(&small()).unwrap();
     let pictures = STYLES.map(|style| (style.paint)(&sight));
     for (style, picture) in STYLES.iter().zip(&pictures) {
@@ -86,7 +86,7 @@ fn any_size_and_any_values_are_painted_without_a_panic() {
 }
 
 #[test]
-fn guides_come_back_from_their_file_within_the_precision_of_halves() {
+fn guides_survive_their_file_within_half_precision() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("small.exr");
     std::fs::write(&path, small().encode(&BTreeMap::new()).unwrap()).unwrap();
@@ -99,7 +99,7 @@ fn guides_come_back_from_their_file_within_the_precision_of_halves() {
 }
 
 #[test]
-fn a_render_without_light_is_refused_and_so_is_one_without_layers() {
+fn render_without_light_or_layers_is_refused() {
     let mut dark = small();
     dark.layers[1].fill([0.0; 3]);
     assert!(matches!(Sight::of(&dark), Err(PainterError::Dark)));

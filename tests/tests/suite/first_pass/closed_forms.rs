@@ -52,7 +52,7 @@ fn a_plate_under_a_ball_has_the_ball_s_form_factor() {
 
 /// With 3 free paths from wall to wall, a tenth of the scattered light is missing: boxes of fog are inexact for their neighbors.
 #[test]
-fn fog_that_takes_nothing_leaves_the_furnace_s_light_on_walls_and_in_it() {
+fn non_absorbing_fog_keeps_furnace_light_on_walls_and_in_fog() {
     for (scattering, most) in [(0.3, 0.05), (1.0, 0.05), (3.0, 0.13)] {
         for case in [furnace(0.5, scattering), furnace_fog(0.5, scattering)] {
             let found = found(&case, 0.3);
@@ -77,7 +77,7 @@ fn spheres_integrate_with_a_port_and_with_gas_that_absorbs() {
 
 /// A slab of optical thickness t transmits the fraction 2 E3(t) of a plane's light directly, whether it absorbs or also scatters.
 #[test]
-fn what_goes_straight_through_a_slab_is_twice_the_third_exponential_integral() {
+fn slab_transmits_directly_twice_third_exponential_integral() {
     assert!((third_exponential_integral(1.0) - 0.109_692).abs() < 1e-5);
     for (thickness, albedo) in [(1.0, 0.0), (2.0, 0.0), (1.0, 0.2)] {
         let slab = Slab { thickness, albedo, reach: 6.0, lamps: 12 };
@@ -107,7 +107,7 @@ fn light_of_a_lamp_in_fog_without_end_falls_off() {
 
 /// Reflected light of a slab, and light transmitted after scattering. The slab is 12 m wide, that of the closed form is unbounded.
 #[test]
-fn slabs_that_take_nothing_reflect_and_let_through_what_they_should() {
+fn non_absorbing_slabs_reflect_and_transmit_as_in_closed_form() {
     for (number, most) in [(1, [0.05, 0.09, 0.07]), (2, [0.08, 0.08, 0.08])] {
         let (thickness, albedo, reflected, transmitted) = SLABS[number];
         let case = Slab { thickness, albedo, reach: 6.0, lamps: 3 }.case(reflected, transmitted);

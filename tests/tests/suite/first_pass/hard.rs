@@ -55,7 +55,7 @@ fn scenes() -> Vec<(&'static str, String)> {
 }
 
 #[test]
-fn what_breaks_finite_elements_stays_inside_a_budget_and_says_what_it_leaves_out() {
+fn hard_scenes_stay_in_link_budget_and_report_refused_links() {
     const BUDGET: usize = 1 << 20;
     for (what, text) in scenes() {
         let wide = solve(&text, 0.1, 1 << 30).report;

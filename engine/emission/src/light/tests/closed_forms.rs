@@ -36,7 +36,7 @@ fn grey(sides: Sides) -> Emission {
 }
 
 #[test]
-fn a_rectangle_above_a_plane_gives_lamberts_irradiance_at_every_scale() {
+fn rectangle_gives_lamberts_irradiance_at_every_scale() {
     // Unit emittance: the irradiance is the form factor.
     assert!((corner(1.0, 1.0, 1.0) - 0.138_531_6).abs() < 1e-6);
     for scale in [1e-4f32, 1e-2, 1.0, 100.0, 1e4] {
@@ -71,7 +71,7 @@ fn a_rectangle_above_a_plane_gives_lamberts_irradiance_at_every_scale() {
 }
 
 #[test]
-fn far_and_tiny_flat_lights_fall_off_with_the_square_of_the_distance() {
+fn far_and_tiny_flat_lights_follow_the_inverse_square_law() {
     let square = Parallelogram::new(v(-5e-5, -5e-5, 0.0), Vec3A::Y * 1e-4, Vec3A::X * 1e-4, grey(Sides::Two));
     let half = Triangle::new([Vec3A::ZERO, Vec3A::Y * 1e-4, Vec3A::X * 1e-4], grey(Sides::Two));
     for (light, area) in [(Light::Parallelogram(square), 1e-8), (Light::Triangle(half), 0.5e-8)] {
@@ -95,7 +95,7 @@ fn a_sphere_gives_the_squared_ratio_of_radius_and_distance() {
 }
 
 #[test]
-fn inside_closed_lamps_the_irradiance_is_the_emittance_everywhere() {
+fn irradiance_inside_closed_lamps_is_the_emittance_everywhere() {
     let light = Light::Sphere(Sphere::new(v(1.0, 2.0, 3.0), -2.0, grey(Sides::One)));
     for i in 0..20 {
         let reference = v(1.0, 2.0, 3.0) + warp::sphere(uniform_pair(8, i)) * (0.099 * i as f32);
@@ -106,7 +106,7 @@ fn inside_closed_lamps_the_irradiance_is_the_emittance_everywhere() {
 }
 
 #[test]
-fn a_spheres_own_inner_wall_gets_the_emittance_on_whichever_side_it_is_rounded_to() {
+fn sphere_inner_wall_gets_the_emittance_on_either_rounding_side() {
     // Regression: points that were rounded outward, half of all, saw the near wall instead, and 15 percent of the light was
     // missing.
     for sides in [Sides::One, Sides::Two] {
@@ -231,7 +231,7 @@ fn faces_of_a_mirrored_luminaire_still_look_outward() {
 }
 
 #[test]
-fn lights_stay_finite_for_references_on_them_at_their_corners_and_far_away() {
+fn lights_stay_finite_for_references_on_corners_and_far_away() {
     for case in cases() {
         let (low, high) = case.light.bounds();
         let mut references = vec![low, high, case.light.center(), v(1e4, 2e4, -3e4), v(1e-30, 0.0, 0.0)];

@@ -52,7 +52,7 @@ fn cone_of(light: &Light, reference: Vec3A) -> Option<(Frame, f32)> {
 }
 
 #[test]
-fn samples_follow_the_density_for_every_light_from_near_far_and_inside() {
+fn samples_follow_the_density_from_near_far_and_inside() {
     let references = [v(0.2, -0.3, 1.9), v(2.5, 1.0, 1.2), v(-0.4, -3.0, -2.0), v(0.15, 0.2, 0.05), v(0.31, -0.2, 2.0)];
     let level = sidak(LEVEL, 2 * cases().len() * references.len());
     for (k, case) in cases().iter().enumerate() {
@@ -111,7 +111,7 @@ fn samples_follow_the_density_for_every_light_from_near_far_and_inside() {
 }
 
 #[test]
-fn a_sample_is_consistent_with_itself_and_with_the_density_asked_for_later() {
+fn sample_fields_agree_with_each_other_and_the_later_density() {
     for (k, case) in cases().iter().enumerate() {
         let mut seen = 0;
         for i in 0..3000 {
@@ -146,7 +146,7 @@ fn a_sample_is_consistent_with_itself_and_with_the_density_asked_for_later() {
 }
 
 #[test]
-fn the_dark_sides_of_one_sided_lights_give_no_samples_and_no_density() {
+fn dark_sides_of_one_sided_lights_have_no_samples_or_density() {
     let one = emission(Sides::One);
     let behind = v(0.1, 0.0, -1.0);
     for light in [

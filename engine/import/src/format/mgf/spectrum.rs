@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_visible_chromaticity_is_on_the_locus_and_what_is_visible_stays() {
+    fn nearest_visible_chromaticity_is_on_the_locus_or_unchanged() {
         for inside in [[1.0 / 3.0, 1.0 / 3.0], [0.64, 0.33], [0.2, 0.7]] {
             assert_eq!(nearest_visible(inside), inside);
         }

@@ -36,7 +36,7 @@ fn exr_with(compression: Compression, pixel: (f32, f32, f32)) -> Vec<u8> {
 }
 
 #[test]
-fn srgb_becomes_linear_at_every_depth_with_and_without_alpha_and_palette() {
+fn srgb_becomes_linear_for_any_depth_alpha_and_palette() {
     use ::png::{BitDepth, ColorType};
     let sixteen: Vec<u8> = [0u16, 188 * 257, 65_535].iter().flat_map(|x| x.to_be_bytes()).collect();
     for (color, depth, pixel) in [

@@ -112,7 +112,7 @@ fn transfer_functions_of_chunks_are_used_by_their_precedence() {
 }
 
 #[test]
-fn a_color_chunk_with_a_wrong_checksum_or_behind_the_pixels_is_named() {
+fn damaged_or_misplaced_color_chunks_are_named() {
     let mut file = with(&pixel([32_768; 3]), &[(b"gAMA", &gamma(100_000))]);
     file[33 + 12] ^= 1;
     let decoded = decode("t.png", &file, Role::Color, 0).unwrap();

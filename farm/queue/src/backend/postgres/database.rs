@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_this_machine_is_encrypted_unless_the_address_says_no() {
+    fn remote_connections_are_encrypted_unless_the_url_disables_it() {
         for (url, expected) in [
             ("postgres://ann@localhost/farm", PgSslMode::Disable),
             ("postgres://ann@[::1]/farm", PgSslMode::Disable),

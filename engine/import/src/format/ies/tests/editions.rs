@@ -112,7 +112,7 @@ fn every_field_of_every_edition_counts_or_is_said() {
 }
 
 #[test]
-fn a_file_that_does_not_name_its_edition_well_is_read_with_a_word_or_refused() {
+fn unclear_editions_are_read_with_a_warning_or_refused() {
     let with = |line: &str, second: &str| {
         let mut fields = FIELDS;
         fields[11] = second;

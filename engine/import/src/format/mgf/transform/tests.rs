@@ -23,7 +23,7 @@ fn arguments_apply_left_to_right() {
 }
 
 #[test]
-fn rotations_are_counter_clockwise_about_each_axis_and_exact_at_right_angles() {
+fn rotations_are_counterclockwise_and_exact_at_right_angles() {
     assert_eq!(at(&spec("-rx 90").unwrap().baked, 0.0, 1.0, 0.0), [0.0, 0.0, 1.0]);
     assert_eq!(at(&spec("-ry 90").unwrap().baked, 0.0, 0.0, 1.0), [1.0, 0.0, 0.0]);
     assert_eq!(at(&spec("-rz -270").unwrap().baked, 1.0, 0.0, 0.0), [0.0, 1.0, 0.0]);
@@ -66,7 +66,7 @@ fn an_array_of_one_is_no_array() {
 }
 
 #[test]
-fn a_path_takes_the_steps_around_it_and_joins_the_array_after_it() {
+fn path_takes_surrounding_steps_and_joins_the_next_array() {
     let spec = spec("-t 1 0 0 -path p -rz 90 -a 2 -t 5 0 0").unwrap();
     let [layer] = &spec.layers[..] else { panic!("one layer") };
     assert_eq!(layer.count, 2);

@@ -71,5 +71,5 @@ fn job_file_names_features_and_feature_names_are_not_layers() {
     let ran = place.run("render fog.mgf -o out.exr --layers normals").exits(2);
     assert!(ran.stderr().contains("unknown layers `normals`") && ran.stderr().contains("surfaces, normal, "));
     let ran = place.run("render fog.mgf -o out.exr --layer depth=CL").exits(2);
-    assert!(ran.stderr().contains("`depth`: the file has channels of that name"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("`depth`: the file already has channels with this name"), "{}", ran.stderr());
 }

@@ -21,7 +21,7 @@ fn wrong_usage_ends_with_2_and_names_the_flag() {
         ("render fog.mgf --threads 0", "--threads"),
         ("worker --join http://127.0.0.1:1 --nice 20", "--nice"),
         ("worker --join http://127.0.0.1:1 --memory lots", "--memory"),
-        ("worker --join http://127.0.0.1:1 --memory 0", "1MiB at least"),
+        ("worker --join http://127.0.0.1:1 --memory 0", "at least 1MiB"),
         ("worker --join http://127.0.0.1:1 --hours evenings", "--hours"),
         ("worker --join http://127.0.0.1:1 --idle-exit never", "--idle-exit"),
         ("stylize fog.mgf", "stylize"),

@@ -114,7 +114,7 @@ fn object_named_default_gets_a_warning_about_its_cryptomatte_id() {
     let place = place();
     place.write("two.mgf", &two("o default;F;o", "F"));
     let check = place.run("check two.mgf").exits(0).stdout();
-    assert!(check.contains("object `default` has the Cryptomatte id of what is in no object"), "{check}");
+    assert!(check.contains("object `default` has the same Cryptomatte id as surfaces outside of objects"), "{check}");
     let plan = place.run("plan two.mgf --no-trial --layers object").exits(0).stderr();
     assert!(plan.contains("the object called `default` has the same Cryptomatte id"), "{plan}");
     let plan = place.run("plan two.mgf --no-trial --layers depth").exits(0).stderr();

@@ -59,8 +59,8 @@ fn channels_are_found_by_their_names_or_the_error_lists_them() {
         (&[(".Y", 0.25)], Ok([0.25; 3]), ""),
         (&[("Y", 0.25), ("A", 1.0)], Err("no last pixel"), ""),
         (&[("Y", 0.25), ("Z", 3.0)], Ok([0.25; 3]), "channels that are not used: `Z`"),
-        (&[("diffuse.R", 0.25), ("diffuse.G", 0.5), ("diffuse.B", 0.75)], Ok(rgb), "read, `diffuse`"),
-        (&[("a.b.R", 0.25), ("a.b.G", 0.5), ("a.b.B", 0.75)], Ok(rgb), "read, `a.b`"),
+        (&[("diffuse.R", 0.25), ("diffuse.G", 0.5), ("diffuse.B", 0.75)], Ok(rgb), "read: `diffuse`"),
+        (&[("a.b.R", 0.25), ("a.b.G", 0.5), ("a.b.B", 0.75)], Ok(rgb), "read: `a.b`"),
         (
             &[("R", 0.25), ("G", 0.5), ("B", 0.75), ("n.R", 9.0), ("n.G", 9.0), ("n.B", 9.0)],
             Ok(rgb),

@@ -20,7 +20,7 @@ pub struct NotesArgs {
 }
 
 impl NotesArgs {
-    /// Returns the notes of a job file, replaced or extended by those of the command line.
+    /// Merges the notes of the command line into the notes of a job file. The command line wins.
     pub fn over(&self, file: JobNotes) -> Result<JobNotes, Failure> {
         let mut notes = file;
         if let Some(comment) = &self.comment {

@@ -87,8 +87,8 @@ pub struct SettingsArgs {
 }
 
 impl SettingsArgs {
-    /// Returns these settings, completed by those of a job file. Overrides of both are kept; the typed ones come last, so that they
-    /// win.
+    /// Merges the settings of a job file into these typed settings. The typed settings win. Overrides of the scene are kept from
+    /// both.
     pub fn over(self, job: Self) -> Self {
         let typed_stop = self.spp.is_some() || self.error.is_some() || self.time.is_some();
         let (spp, error, time) =

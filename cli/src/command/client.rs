@@ -286,7 +286,7 @@ async fn unmet(error: CallError, option: &str) -> Unmet {
     let is_https = url.starts_with("https:");
     let (message, may_come) = match femc_proto::look(url).await {
         Found::Nobody { message } => {
-            (format!("no coordinator accepts connections at {url} ({message}); {nobody}"), MayCome::Yes)
+            (format!("cannot connect to a coordinator at {url} ({message}); {nobody}"), MayCome::Yes)
         }
         Found::Encrypted if !is_https => (
             format!(

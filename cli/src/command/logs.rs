@@ -80,7 +80,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// Returns those of `records` that are new.
+    /// Returns the new logs among `records`.
     fn fresh(&mut self, records: Vec<LogRecord>) -> Vec<LogRecord> {
         self.since = records.last().map_or(self.since, |record| record.at);
         let attempts = &mut self.attempts;

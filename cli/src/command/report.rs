@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
     femc report fog                            # the sweep in the folder fog, without a farm\n  \
     femc watch 7 && femc report 7 && xdg-open job-7.html\n  \
     femc report box.paths                      # box.html: maps and histograms of a frame's light\n\n\
-    The page is one file and needs no network. `femc stats` prints its numbers; `femc paths` and `femc bottlenecks` those of light.")]
+    The page is one file and needs no network. `femc stats` prints the numbers of jobs; `femc paths` and `femc bottlenecks` print the numbers of light.")]
 pub struct ReportArgs {
     /// Job numbers, or folders of sweeps that have ended; or light statistics (.paths) of frames
     #[arg(value_name = "JOB|DIR|FRAME.paths", required = true)]

@@ -39,7 +39,7 @@ pub enum Refused {
     File(Failure),
 }
 
-/// Parses `args`, the first of which is the program's name.
+/// Parses `args`. The first argument is the program's name.
 pub fn parse(args: Vec<OsString>) -> Result<Parsed, Refused> {
     let command = with_negative_numbers(with_environment(Cli::command()));
     let args = with_negative_values(&command, args);

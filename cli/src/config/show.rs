@@ -6,7 +6,7 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use std::fmt::Write as _;
 
-/// Returns the settings of the typed command; without a command, those of the services.
+/// Returns the settings of the typed command. Without a command, it returns the settings of the services.
 pub fn settings(command: &Command, matches: &ArgMatches, file: Option<&File>) -> Result<String, clap::Error> {
     let mut text = match file {
         Some(file) => format!("# from {}\n", file.path().display()),

@@ -422,7 +422,7 @@ fn settings(typed: &SettingsArgs) -> Settings {
     }
 }
 
-/// Returns the typed layers and features. `--layers` contains both. The layers of `--layer` come after those of `--layers`.
+/// Returns the typed layers and features. `--layers` names layers and features. The layers of `--layer` are last.
 fn layers(
     scene: &Scene,
     typed: &SettingsArgs,

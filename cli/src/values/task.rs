@@ -1,7 +1,7 @@
 use femc_model::{JobId, StageKind, TaskKey};
 use std::str::FromStr;
 
-/// Selection of tasks of a job: those of a frame, of a round, of the stages of a kind, of one stage, or a single one.
+/// Selection of tasks of a job: a frame, a round, all stages of a kind, one stage, or one task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tasks {
     frame: Option<u32>,

@@ -45,7 +45,7 @@ fn task_that_kills_workers_is_quarantined_other_frames_finish() {
         answer.to_string().contains("workers died 5 times while computing this task; the last one was lab"),
         "{answer}"
     );
-    // A worker without the fault completes the task after a retry, and the frames equal those of one process.
+    // A worker without the fault completes the task after a retry, and the frames equal the frames of one process.
     drop(killed);
     let _healthy = worker(&place, &url, None);
     place.run(&format!("retry {job} --server {url}")).exits(0);

@@ -1,5 +1,5 @@
 //! Fault injection: real processes are killed, stopped and disconnected at chosen points. Each fault leaves a token file when its
-//! point is reached. The frames must equal those of one process.
+//! point is reached. The frames must equal the frames of one process.
 #![cfg(all(unix, debug_assertions))]
 
 use std::collections::BTreeMap;

@@ -234,7 +234,7 @@ pub async fn calls(target: &mut Target) -> String {
     format!("{outcomes:?}")
 }
 
-/// Returns a message that announces the digest of a file that nobody has.
+/// Returns a message that announces the digest of a missing file.
 fn announces(digest: u8) -> Bytes {
     message(&[&[0x0a, 32][..], &[digest; 32]].concat())
 }

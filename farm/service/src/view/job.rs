@@ -135,7 +135,9 @@ pub fn waits_for(job: &JobStatus) -> Option<&'static str> {
         Wait::WorkersInTrouble { failure: Failure::Store { .. }, .. } => Some("store"),
         _ => None,
     });
-    wanted.filter(|_| job.workers == 0 && matches!(job.state, JobState::Queued | JobState::Running))
+    // Another worker may be suitable and merely busy: then the job does not wait for memory.
+    let all_rest = job.workers == 0 && job.waits.contains(&Wait::WorkersResting);
+    wanted.filter(|_| all_rest && matches!(job.state, JobState::Queued | JobState::Running))
 }
 
 /// Returns the state in words: `running`, or `waits for memory` (see [`waits_for`]).
@@ -316,6 +318,7 @@ mod tests {
             JobStatus { workers: 1, ..waiting.clone() },
             JobStatus { state: JobState::Done, ..waiting.clone() },
             JobStatus { waits: vec![Wait::WorkersResting], ..waiting.clone() },
+            JobStatus { waits: vec![Wait::WorkersBusy { workers: 1 }, waiting.waits[1].clone()], ..waiting.clone() },
         ] {
             assert_eq!((state(&other), waits_for(&other)), (other.state.name().to_owned(), None));
         }
